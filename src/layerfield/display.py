@@ -1,0 +1,116 @@
+"""The display: geometry and link. Layers go in, the light field that viewers see comes out."""
+
+from importlib.resources import files
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from layerfield.display_spec import Spec, parse_spec, read_spec
+from layerfield.geometry import Point
+from layerfield.links import LINKS
+from layerfield.nearest import did_you_mean
+from layerfield.projection import Projection
+
+_PRESETS = files("layerfield") / "displays"
+
+
+class Display(nn.Module):
+    """A layered light field display; differentiable, on any device and in any precision.
+
+    L_i(x) = mean over subframes of link_k P_k(x + d_ik)
+
+    Args:
+        spec: the display as data; see `Display.load` for presets and files.
+    """
+
+    def __init__(self, spec: Spec) -> None:
+        super().__init__()
+        self.spec = spec
+        self.geometry = spec.geometry()
+        self.link = LINKS[spec.link]
+        self.projection = Projection(self.geometry.shifts, self.geometry.margin)
+
+    @classmethod
+    def load(cls, name: str | Path) -> "Display":
+        """Return the preset of that name, or the display of a TOML file.
+
+        Raises:
+            ValueError: no such preset or file, or a file that describes no display.
+        """
+        text = str(name)
+        if text in preset_names():
+            return cls(parse_spec((_PRESETS / f"{text}.toml").read_text("utf-8"), text))
+        if Path(name).suffix == ".toml" or Path(name).is_file():
+            return cls(read_spec(Path(name)))
+        raise ValueError(f"unknown display '{text}'{did_you_mean(text, preset_names())}")
+
+    @property
+    def name(self) -> str:
+        """The name in tables and results."""
+        return self.spec.name
+
+    @property
+    def layer_count(self) -> int:
+        """Number of layers."""
+        return len(self.geometry.depths)
+
+    @property
+    def view_count(self) -> int:
+        """Number of viewpoints."""
+        return len(self.geometry.slopes)
+
+    @property
+    def margin(self) -> tuple[int, int]:
+        """Pixels (y, x) by which layers exceed the views on each side."""
+        return self.geometry.margin
+
+    def forward(
+        self, layers: Float[Tensor, "*batch subframe layer c ly lx"]
+    ) -> Float[Tensor, "*batch view c y x"]:
+        """Return the views that layers show, unclipped."""
+        return _views(self.projection, self.link, layers)
+
+    def adjoint(
+        self, views: Float[Tensor, "*batch view c y x"]
+    ) -> Float[Tensor, "*batch layer c ly lx"]:
+        """Return A^T views, the adjoint of the linear part (shift, interpolate, crop)."""
+        return self.projection.adjoint(views)
+
+    def look(
+        self, layers: Float[Tensor, "*batch subframe layer c ly lx"], eye: Point
+    ) -> Float[Tensor, "*batch c y x"]:
+        """Return what an eye anywhere in the plane of the viewpoints sees, unclipped.
+
+        Args:
+            layers: with the margin of this display; outside them light paths stay as they are.
+            eye: (x, y) as slopes X / Z; in view steps for displays in pixel disparities.
+        """
+        shifts = self.geometry.shifts_toward(eye)
+        reach = [max(abs(s[axis]) for s in shifts) for axis in (1, 0)]
+        margin = tuple(max(m, int(r) + 1) for m, r in zip(self.margin, reach, strict=True))
+        wider = self.surround(layers, (margin[0], margin[1]), self.margin)
+        seen = _views(Projection((shifts,), (margin[0], margin[1])), self.link, wider)
+        return seen[..., 0, :, :, :]
+
+    def surround(
+        self, layers: Tensor, margin: tuple[int, int], has: tuple[int, int] = (0, 0)
+    ) -> Tensor:
+        """Widen layers from the margin they have to another, with the link's neutral value."""
+        (y, x), (has_y, has_x) = margin, has
+        pad = (x - has_x, x - has_x, y - has_y, y - has_y)
+        return nn.functional.pad(layers, pad, value=self.link.neutral)
+
+
+def _views(projection: Projection, link, layers: Tensor) -> Tensor:
+    views = [
+        link.compose(projection.windows(layers, i)).mean(dim=-4)
+        for i in range(len(projection.shifts))
+    ]
+    return torch.stack(views, dim=-4)
+
+
+def preset_names() -> list[str]:
+    """Names of the displays that come with the package, sorted."""
+    return sorted(entry.name.removesuffix(".toml") for entry in _PRESETS.iterdir())

@@ -1,0 +1,171 @@
+"""A display as it is written down: validated data, one TOML file, no arithmetic beyond units."""
+
+import math
+import tomllib
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from layerfield.geometry import Geometry, Point, grid_points
+from layerfield.nearest import did_you_mean
+
+Grid = tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]]
+Depths = Annotated[tuple[float, ...], Field(min_length=1, max_length=8)]
+
+
+class _Spec(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=True)
+
+    name: str = "display"
+    description: str = ""
+    link: Literal["additive", "multiplicative"]
+    views: Grid | None = None
+
+    @model_validator(mode="after")
+    def _geometry_holds(self):
+        self.geometry()
+        return self
+
+    def geometry(self) -> Geometry:
+        """Return the geometry in metres (or pixels, for displays in pixel disparities)."""
+        raise NotImplementedError
+
+
+class DisparitySpec(_Spec):
+    """A display in pixel disparities: layer k shifts by `disparity[k]` pixels from view to view.
+
+    Args:
+        disparity: shift per view step, pixels, front to back (strictly decreasing).
+        views: rows and columns of the view grid, or else
+        viewpoints: (x, y) of every viewpoint in view steps.
+    """
+
+    disparity: Depths
+    viewpoints: tuple[Point, ...] | None = None
+
+    def geometry(self) -> Geometry:
+        points = _one_of(self.views, self.viewpoints, "viewpoints", (1.0, 1.0))
+        return Geometry(slopes=points, depths=self.disparity, grid=self.views)
+
+
+class PhysicalSpec(_Spec):
+    """A display in millimetres.
+
+    Args:
+        depth_mm: distance of every layer from the display plane toward the viewer, front to back.
+        pitch_um: pixel pitch on the display plane, micrometres.
+        viewing_distance_mm: from the display plane to the viewpoints; `inf` for orthographic.
+        views: rows and columns of the view grid, spread over
+        viewing_angle_deg: the angle between its outermost viewpoints seen from the centre of the
+            display, along its longer side (the step is the same along both) or [horizontal,
+            vertical]; or else
+        viewpoints_mm: (x, y) of every viewpoint on its plane, at a finite distance.
+    """
+
+    depth_mm: Depths
+    pitch_um: float
+    viewing_distance_mm: float
+    viewing_angle_deg: float | tuple[float, float] | None = None
+    viewpoints_mm: tuple[Point, ...] | None = None
+
+    def geometry(self) -> Geometry:
+        if self.views is not None and self.viewing_angle_deg is None:
+            raise ValueError("'viewing_angle_deg' is missing; it says how far apart the views are")
+        if self.viewpoints_mm is not None and math.isinf(self.viewing_distance_mm):
+            raise ValueError("'viewpoints_mm' needs a finite 'viewing_distance_mm'")
+        listed = self.viewpoints_mm and tuple(
+            (x / self.viewing_distance_mm, y / self.viewing_distance_mm)
+            for x, y in self.viewpoints_mm
+        )
+        return Geometry(
+            slopes=_one_of(self.views, listed, "viewpoints_mm", self._step()),
+            depths=tuple(z * 1e-3 for z in self.depth_mm),
+            pitch=self.pitch_um * 1e-6,
+            distance=self.viewing_distance_mm * 1e-3,
+            grid=self.views,
+        )
+
+    def _step(self) -> Point:
+        if self.views is None or self.viewing_angle_deg is None:
+            return (0.0, 0.0)
+        rows, columns = self.views
+        angles = self.viewing_angle_deg
+        pair = angles if isinstance(angles, tuple) else (angles, angles)
+        if not all(0 < angle < 180 for angle in pair):
+            raise ValueError(f"'viewing_angle_deg' is {angles}, expected between 0 and 180")
+        spread = [2 * math.tan(math.radians(angle) / 2) for angle in pair]
+        if isinstance(angles, tuple):
+            return (spread[0] / max(columns - 1, 1), spread[1] / max(rows - 1, 1))
+        step = spread[0] / max(columns - 1, rows - 1, 1)
+        return (step, step)
+
+
+Spec = DisparitySpec | PhysicalSpec
+
+
+def _one_of(
+    grid: tuple[int, int] | None, listed: tuple[Point, ...] | None, key: str, step: Point
+) -> tuple[Point, ...]:
+    if (grid is None) == (listed is None):
+        raise ValueError(f"expected either 'views' or '{key}', found both or neither")
+    return listed if grid is None else grid_points(grid, step)  # pyright: ignore[reportReturnType]
+
+
+def parse_spec(text: str, source: str) -> Spec:
+    """Parse the TOML text of a display.
+
+    Raises:
+        ValueError: not TOML, an unknown or missing key, or values that make no display; one line
+            that names the source, the key and the remedy.
+    """
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{source} is not valid TOML: {error}") from None
+    model = PhysicalSpec if any(key in data for key in _PHYSICAL_KEYS) else DisparitySpec
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        raise ValueError(f"{source}: {_one_line(error, model)}") from None
+
+
+def format_spec(spec: Spec) -> str:
+    """Return the TOML text from which `parse_spec` makes the same display."""
+    data = spec.model_dump(mode="python", exclude_none=True, exclude_defaults=True)
+    return "".join(f"{key} = {_toml(value)}\n" for key, value in data.items())
+
+
+def read_spec(path: Path) -> Spec:
+    """Read a display from a TOML file."""
+    try:
+        return parse_spec(path.read_text(encoding="utf-8"), str(path))
+    except UnicodeDecodeError:
+        raise ValueError(f"{path} is not a text file; expected a display in TOML") from None
+    except OSError as error:
+        raise ValueError(f"cannot read the display {path}: {error.strerror}") from None
+
+
+_PHYSICAL_KEYS = set(PhysicalSpec.model_fields) - set(DisparitySpec.model_fields)
+
+
+def _one_line(error: ValidationError, model: type[BaseModel]) -> str:
+    first = error.errors()[0]
+    key = ".".join(str(part) for part in first["loc"] if isinstance(part, (str, int)))
+    match first["type"]:
+        case "extra_forbidden":
+            return f"unknown key '{key}'{did_you_mean(key, model.model_fields)}"
+        case "missing":
+            return f"the key '{key}' is missing"
+        case "value_error":
+            return first["msg"].removeprefix("Value error, ")
+    return f"'{key}' is {first['input']!r}; {first['msg'].lower()}"
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, tuple):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    if isinstance(value, str):
+        escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+        return f'"{escaped}"'
+    return repr(value)  # numbers: repr is exact, and inf is TOML

@@ -1,0 +1,1 @@
+"""Light fields in, layers out."""

@@ -1,0 +1,166 @@
+"""The linear map A from layers to views, its exact adjoint, and its Gram matrix A^T A.
+
+    (A P)_i(x) = sum_k P_k(x + d_ik)        linear interpolation between pixels
+
+Layers reach `margin` pixels past the views on each side; only what the views show counts. Leading
+dimensions are free: every function works on `[..., layer, c, y, x]` and `[..., view, c, y, x]`.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from layerfield.geometry import Point
+
+Tap = tuple[int, float]
+
+
+def _taps(shift: float) -> tuple[Tap, ...]:
+    """Whole-pixel offsets and weights of the linear interpolation at a fractional shift."""
+    whole = math.floor(shift)
+    fraction = shift - whole
+    return ((whole, 1.0),) if fraction == 0 else ((whole, 1 - fraction), (whole + 1, fraction))
+
+
+@dataclass(frozen=True)
+class Projection:
+    """A for one set of shifts.
+
+    Args:
+        shifts: `[view][layer] = (x, y)` in pixels.
+        margin: pixels (y, x) by which layers exceed views on each side.
+    """
+
+    shifts: tuple[tuple[Point, ...], ...]
+    margin: tuple[int, int]
+
+    @cached_property
+    def taps(self) -> tuple[tuple[tuple[tuple[int, int, float], ...], ...], ...]:
+        """`[view][layer]` -> (top row, left column, weight) of every window that is summed."""
+        my, mx = self.margin
+        return tuple(
+            tuple(
+                tuple((my + ty, mx + tx, wy * wx) for ty, wy in _taps(y) for tx, wx in _taps(x))
+                for x, y in layers
+            )
+            for layers in self.shifts
+        )
+
+    def view_size(self, layers: Tensor) -> tuple[int, int]:
+        """Height and width of the views that layers of this size show."""
+        return layers.shape[-2] - 2 * self.margin[0], layers.shape[-1] - 2 * self.margin[1]
+
+    def layer_size(self, views: Tensor) -> tuple[int, int]:
+        """Height and width of the layers that views of this size need."""
+        return views.shape[-2] + 2 * self.margin[0], views.shape[-1] + 2 * self.margin[1]
+
+    def window(
+        self, layer: Float[Tensor, "*batch ly lx"], view: int, index: int
+    ) -> Float[Tensor, "*batch y x"]:
+        """Return what view `view` sees of layer `index`: A_ik P_k."""
+        height, width = self.view_size(layer)
+        parts = [
+            layer[..., top : top + height, left : left + width].mul(weight)
+            if weight != 1
+            else layer[..., top : top + height, left : left + width]
+            for top, left, weight in self.taps[view][index]
+        ]
+        return sum(parts[1:], start=parts[0])
+
+    def windows(
+        self, layers: Float[Tensor, "*batch layer c ly lx"], view: int
+    ) -> list[Float[Tensor, "*batch c y x"]]:
+        """Return the pixels that the light paths of one view meet, layer by layer."""
+        return [self.window(layers[..., k, :, :, :], view, k) for k in range(layers.shape[-4])]
+
+    def scatter_(
+        self, layer: Float[Tensor, "*batch ly lx"], values: Tensor, view: int, index: int
+    ) -> None:
+        """Add A_ik^T values to a layer, in place; the adjoint of `window`."""
+        height, width = values.shape[-2:]
+        for top, left, weight in self.taps[view][index]:
+            layer[..., top : top + height, left : left + width].add_(values, alpha=weight)
+
+    def forward(
+        self, layers: Float[Tensor, "*batch layer c ly lx"]
+    ) -> Float[Tensor, "*batch view c y x"]:
+        """Return A P, the views that layers add up to."""
+        views = [sum_of(self.windows(layers, i)) for i in range(len(self.shifts))]
+        return torch.stack(views, dim=-4)
+
+    def adjoint(
+        self, views: Float[Tensor, "*batch view c y x"], weights: Sequence[float] | None = None
+    ) -> Float[Tensor, "*batch layer c ly lx"]:
+        """Return A^T W views, the exact adjoint of `forward` (W: weights of the views)."""
+        *batch, _, channels, _, _ = views.shape
+        layers = views.new_zeros(*batch, len(self.shifts[0]), channels, *self.layer_size(views))
+        for i in range(len(self.shifts)):
+            values = views[..., i, :, :, :]
+            if weights is not None and weights[i] != 1:
+                values = values * weights[i]
+            for k in range(layers.shape[-4]):
+                self.scatter_(layers[..., k, :, :, :], values, i, k)
+        return layers
+
+    def symbol(
+        self, size: tuple[int, int], weights: Sequence[float]
+    ) -> Float[Tensor, "layer layer fy fx"]:
+        """Return the Gram matrix A^H W A of every frequency of a torus, as `rfft2` orders them.
+
+        G_kl(f) = sum_i w_i conj(A_ik(f)) A_il(f), A_ik(f) = exp(2 pi i f . d_ik) times the
+        response of the interpolation. Real where the viewpoints are symmetric about the centre,
+        otherwise complex; float64.
+        """
+        rows, columns = size
+        fy = torch.fft.fftfreq(rows, dtype=torch.float64)
+        fx = torch.fft.rfftfreq(columns, dtype=torch.float64)
+        along_y = self._responses(fy, axis=1)
+        along_x = self._responses(fx, axis=0)
+        w = torch.tensor(weights, dtype=torch.float64).to(along_y.dtype)
+        layers = range(len(self.shifts[0]))
+        gram = torch.stack(
+            [
+                torch.stack(
+                    [
+                        (w[:, None] * along_y[:, k].conj() * along_y[:, m]).T
+                        @ (along_x[:, k].conj() * along_x[:, m])
+                        for m in layers
+                    ]
+                )
+                for k in layers
+            ]
+        )
+        is_real = gram.imag.abs().max() < 1e-9 * gram.real.abs().max()
+        return gram.real.contiguous() if is_real else gram
+
+    def _responses(self, frequencies: Tensor, axis: int) -> Tensor:
+        """The one-dimensional transfer functions `[view, layer, frequency]` along x or y."""
+        return torch.stack(
+            [
+                torch.stack(
+                    [
+                        sum_of(
+                            [
+                                weight * torch.exp(2j * math.pi * frequencies * offset)
+                                for offset, weight in _taps(shift[axis])
+                            ]
+                        )
+                        for shift in layers
+                    ]
+                )
+                for layers in self.shifts
+            ]
+        )
+
+
+def sum_of(parts: Sequence[Tensor]) -> Tensor:
+    """Add tensors up without a stack."""
+    total = parts[0]
+    for part in parts[1:]:
+        total = total + part
+    return total

@@ -3,10 +3,10 @@
 from importlib.resources import files
 from pathlib import Path
 
-import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from layerfield.composition import compose_view, compose_views
 from layerfield.display_spec import Spec, parse_spec, read_spec
 from layerfield.geometry import Point
 from layerfield.links import LINKS
@@ -70,7 +70,7 @@ class Display(nn.Module):
         self, layers: Float[Tensor, "*batch subframe layer c ly lx"]
     ) -> Float[Tensor, "*batch view c y x"]:
         """Return the views that layers show, unclipped."""
-        return _views(self.projection, self.link, layers)
+        return compose_views(layers, self.projection, self.link)
 
     def adjoint(
         self, views: Float[Tensor, "*batch view c y x"]
@@ -91,8 +91,8 @@ class Display(nn.Module):
         reach = [max(abs(s[axis]) for s in shifts) for axis in (1, 0)]
         margin = tuple(max(m, int(r) + 1) for m, r in zip(self.margin, reach, strict=True))
         wider = self.surround(layers, (margin[0], margin[1]), self.margin)
-        seen = _views(Projection((shifts,), (margin[0], margin[1])), self.link, wider)
-        return seen[..., 0, :, :, :]
+        projection = Projection((shifts,), (margin[0], margin[1]))
+        return compose_view(wider, projection, self.link, 0)
 
     def surround(
         self, layers: Tensor, margin: tuple[int, int], has: tuple[int, int] = (0, 0)
@@ -101,14 +101,6 @@ class Display(nn.Module):
         (y, x), (has_y, has_x) = margin, has
         pad = (x - has_x, x - has_x, y - has_y, y - has_y)
         return nn.functional.pad(layers, pad, value=self.link.neutral)
-
-
-def _views(projection: Projection, link, layers: Tensor) -> Tensor:
-    views = [
-        link.compose(projection.windows(layers, i)).mean(dim=-4)
-        for i in range(len(projection.shifts))
-    ]
-    return torch.stack(views, dim=-4)
 
 
 def preset_names() -> list[str]:

@@ -76,7 +76,7 @@ class Projection:
         self, layers: Float[Tensor, "*batch layer c ly lx"], view: int
     ) -> list[Float[Tensor, "*batch c y x"]]:
         """Return the pixels that the light paths of one view meet, layer by layer."""
-        return [self.window(layers[..., k, :, :, :], view, k) for k in range(layers.shape[-4])]
+        return [self.window(layer, view, k) for k, layer in enumerate(layers.unbind(dim=-4))]
 
     def scatter_(
         self, layer: Float[Tensor, "*batch ly lx"], values: Tensor, view: int, index: int

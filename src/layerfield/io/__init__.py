@@ -1,1 +1,20 @@
-"""Light fields in, layers out."""
+"""Light fields in, pictures out."""
+
+from layerfield.io.contact_sheet import contact_sheet
+from layerfield.io.images import read_image, write_png
+from layerfield.io.loading import load_light_field
+from layerfield.io.options import Crop, FieldOptions, Order, Quilt
+from layerfield.io.safe_output import whole_directory, whole_file
+
+__all__ = [
+    "Crop",
+    "FieldOptions",
+    "Order",
+    "Quilt",
+    "contact_sheet",
+    "load_light_field",
+    "read_image",
+    "whole_directory",
+    "whole_file",
+    "write_png",
+]

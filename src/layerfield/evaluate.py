@@ -1,0 +1,256 @@
+"""Synthesizers x light fields x displays -> rows of figures, the reference beside every method."""
+
+import multiprocessing
+import resource
+import statistics
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from layerfield.display import Display
+from layerfield.display_spec import Spec
+from layerfield.light_field import LightField
+from layerfield.metrics import (
+    LayerFigures,
+    decibels,
+    excess,
+    interior,
+    layer_figures,
+    mean_square_error,
+    psnr,
+    psnr_by_view,
+    ssim,
+)
+from layerfield.panels import dequantise
+from layerfield.provenance import provenance
+from layerfield.reference import Reference, reference, store_reference
+from layerfield.solvers.rounding import panel_codes
+from layerfield.synthesizer import find_method, pose, synthesize
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What layers show, judged from their quantised panel images.
+
+    Args:
+        psnr: whole image, all views together, dB.
+        psnr_interior: the same without a border.
+        ssim: mean over views, clipped to 0..1.
+        psnr_view_min: of the worst view, dB.
+        psnr_view_max: of the best view, dB.
+        psnr_view_std: standard deviation over views, dB.
+        layers: mean, standard deviation, gradient energy and peak of every layer, front to back.
+    """
+
+    psnr: float
+    psnr_interior: float
+    ssim: float
+    psnr_view_min: float
+    psnr_view_max: float
+    psnr_view_std: float
+    layers: list[LayerFigures]
+
+
+def figures(layers: Tensor, field: LightField, display: Display) -> Figures:
+    """Return the figures of quality of layers, 0 to 1."""
+    views = display(layers)
+    by_view = psnr_by_view(views, field.views)
+    return Figures(
+        psnr=psnr(views, field.views),
+        psnr_interior=psnr(
+            interior(views, display.margin), interior(field.views, display.margin)
+        ),
+        ssim=ssim(views, field.views),
+        psnr_view_min=min(by_view),
+        psnr_view_max=max(by_view),
+        psnr_view_std=statistics.pstdev(by_view),
+        layers=layer_figures(layers),
+    )
+
+
+@dataclass(frozen=True)
+class Row:
+    """One method on one light field and display."""
+
+    field: str
+    display: str
+    method: str
+    iterations: int
+    seconds: float
+    peak_mb: float | None
+    bits: int
+    mean_square_error: float
+    figures: Figures
+    made_with: dict[str, Any]
+    reference: Reference | None = None
+
+    def as_record(self) -> dict[str, Any]:
+        """Return the row as plain data for JSON; figures side by side with the rest."""
+        record = {k: v for k, v in asdict(self).items() if k not in {"figures", "reference"}}
+        record |= asdict(self.figures) | {
+            "layers": [layer._asdict() for layer in self.figures.layers]
+        }
+        if self.reference is not None:
+            record |= {
+                "excess": excess(self.mean_square_error, self.reference.mean_square_error),
+                "reference_psnr": self.reference.psnr,
+                "reference_kind": self.reference.kind,
+                "reference_method": self.reference.method,
+                "reference_gap_db": self.reference.gap_db,
+            }
+        return record
+
+
+def parse_methods(text: str, iterations: int | None = None) -> list[tuple[str, int]]:
+    """Parse `a,b:100,c:10` into methods and iterations.
+
+    Args:
+        text: method names, each with its iterations if wanted.
+        iterations: for methods without their own; the methods' own numbers if not given.
+
+    Raises:
+        ValueError: an unknown method or not a number of iterations.
+
+    >>> parse_methods("nmf:50,fourier-admm")
+    [('nmf', 50), ('fourier-admm', 10)]
+    """
+    chosen = []
+    for entry in text.split(","):
+        name, colon, count = entry.strip().partition(":")
+        method = find_method(name)
+        if colon and not count.isdecimal():
+            raise ValueError(f"found '{entry.strip()}', expected name:iterations, as {name}:10")
+        default = method.iterations if iterations is None else iterations
+        chosen.append((name, int(count) if colon else default))
+    return chosen
+
+
+def evaluate(
+    fields: Sequence[LightField],
+    displays: Sequence[Display],
+    methods: Sequence[tuple[str, int]],
+    *,
+    bits: int = 16,
+    isolate: bool = False,
+    tick: Callable[[str], None] | None = None,
+) -> list[Row]:
+    """Run every method on every light field and display.
+
+    Args:
+        fields: light fields, with the views of the displays.
+        displays: displays.
+        methods: names and iterations; those that do not serve a display are an error.
+        bits: of the panel images that are judged, 8 or 16.
+        isolate: a process for each run, so that its peak memory is its own. In a script this
+            needs the usual `if __name__ == "__main__":`.
+        tick: called with a word on what is being done, for progress displays.
+
+    Returns:
+        Rows in order of fields, displays and methods.
+    """
+    rows = []
+    for field in fields:
+        for display in displays:
+            rows += _compare(field, display, methods, bits, isolate, tick)
+    return rows
+
+
+def _compare(
+    field: LightField,
+    display: Display,
+    methods: Sequence[tuple[str, int]],
+    bits: int,
+    isolate: bool,
+    tick: Callable[[str], None] | None,
+) -> list[Row]:
+    problem = pose(field, display)
+    rows = []
+    for name, iterations in methods:
+        if tick is not None:
+            tick(f"{field.name}, {display.name}: {name}:{iterations}")
+        job = _Job(field.views, field.grid, field.name, display.spec, name, iterations, bits)
+        rows.append(_in_own_process(job) if isolate else _measure(job))
+    if tick is not None:
+        tick(f"{field.name}, {display.name}: reference")
+    found = reference(problem, tick=tick)
+    for row in rows:
+        found = found.improved_by(row.mean_square_error, f"{row.method}:{row.iterations}")
+    store_reference(problem, found)
+    return [replace(row, reference=found) for row in rows]
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    views: Tensor
+    grid: tuple[int, int]
+    field: str
+    spec: Spec
+    method: str
+    iterations: int
+    bits: int
+    own_process: bool = False
+
+
+def _in_own_process(job: _Job) -> Row:
+    context = multiprocessing.get_context("spawn")
+    with context.Pool(1) as pool:
+        return pool.apply(_measure, (replace(job, own_process=True),))
+
+
+def _measure(job: _Job) -> Row:
+    field, display = LightField(job.views, job.grid, name=job.field), Display(job.spec)
+    if job.own_process:
+        _warm_up(field, display, job.method)
+    solution = synthesize(field, display, method=job.method, iterations=job.iterations)
+    peak = _peak_megabytes() if job.own_process else None
+    codes = panel_codes(pose(field, display), solution.layers, bits=job.bits)
+    layers = dequantise(codes)
+    return Row(
+        field=field.name,
+        display=display.name,
+        method=job.method,
+        iterations=solution.iterations,
+        seconds=solution.seconds,
+        peak_mb=peak,
+        bits=job.bits,
+        mean_square_error=mean_square_error(display(layers), field.views),
+        figures=figures(layers, field, display),
+        made_with=provenance(field.views.device),
+    )
+
+
+def _warm_up(field: LightField, display: Display, method: str) -> None:
+    """Start threads and libraries on a corner of the field, so that the clock does not see it."""
+    corner = replace(field, views=field.views[..., :32, :32].contiguous())
+    synthesize(corner, display, method=method, iterations=1)
+
+
+def _peak_megabytes() -> float:
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1024**2 if sys.platform == "darwin" else 1024)
+
+
+def table(rows: Sequence[Row]) -> list[list[str]]:
+    """Return rows as text, a heading first, for a table on the terminal."""
+    heading = ["field", "display", "method", "PSNR dB", "interior", "SSIM", "excess", "reference"]
+    lines = [[*heading, "seconds", "peak MB", "layer means"]]
+    for row in rows:
+        ref = row.reference
+        lines.append([
+            row.field,
+            row.display,
+            f"{row.method}:{row.iterations}",
+            f"{decibels(row.mean_square_error):.2f}",
+            f"{row.figures.psnr_interior:.2f}",
+            f"{row.figures.ssim:.4f}",
+            f"{excess(row.mean_square_error, ref.mean_square_error):.1%}" if ref else "",
+            f"{ref.psnr:.2f} ({ref.kind})" if ref else "",
+            f"{row.seconds:.2f}",
+            f"{row.peak_mb:.0f}" if row.peak_mb else "",
+            " ".join(f"{layer.mean:.2f}" for layer in row.figures.layers),
+        ])
+    return lines

@@ -1,0 +1,103 @@
+"""Figures of quality: how well views are shown, and how layers share the light.
+
+PSNR is pooled: one mean square error over all views, channels and pixels, peak 1. Views are not
+clipped.
+"""
+
+import math
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+Views = Float[Tensor, "view c y x"]
+
+
+def decibels(mean_square_error: float) -> float:
+    """Return the PSNR of a mean square error for peak 1; infinite for 0."""
+    return math.inf if mean_square_error == 0 else -10 * math.log10(mean_square_error)
+
+
+def mean_square_error(views: Tensor, target: Tensor) -> float:
+    """Return one mean square error over everything, summed up in double precision."""
+    squares = (views - target).square()
+    return squares.mean(dim=(-2, -1), dtype=torch.float64).mean().item()
+
+
+def psnr(views: Tensor, target: Tensor) -> float:
+    """Return the pooled peak signal-to-noise ratio in dB, peak 1.
+
+    >>> round(psnr(torch.zeros(25, 3, 8, 8), torch.full((25, 3, 8, 8), 0.1)), 3)
+    20.0
+    """
+    return decibels(mean_square_error(views, target))
+
+
+def psnr_by_view(views: Views, target: Views) -> list[float]:
+    """Return the PSNR of every view in dB."""
+    return [psnr(view, wanted) for view, wanted in zip(views, target, strict=True)]
+
+
+def interior(views: Tensor, margin: tuple[int, int]) -> Tensor:
+    """Return views without a border of four times the display's margin, at least 8 pixels.
+
+    Small views keep at least their middle half.
+    """
+    height, width = views.shape[-2:]
+    y, x = (min(max(4 * m, 8), size // 4) for m, size in zip(margin, (height, width), strict=True))
+    return views[..., y : height - y, x : width - x]
+
+
+def excess(mean_square_error: float, reference: float) -> float:
+    """Return the excess error MSE / MSE_reference - 1 (0.1 dB is 2.3 %)."""
+    if reference == 0:
+        return 0.0 if mean_square_error == 0 else math.inf
+    return mean_square_error / reference - 1
+
+
+def ssim(views: Views, target: Views) -> float:
+    """Return the mean structural similarity of views clipped to 0..1.
+
+    Reference: Wang et al., IEEE Trans. Image Processing 13(4), 2004; Gaussian window of 11 pixels.
+    """
+    from torchmetrics.functional.image import (  # noqa: PLC0415  slow to import
+        structural_similarity_index_measure,
+    )
+
+    total = 0.0
+    for view, wanted in zip(views, target, strict=True):
+        value = structural_similarity_index_measure(
+            view.clamp(0, 1)[None], wanted[None], data_range=1.0
+        )
+        total += float(value)  # pyright: ignore[reportArgumentType]
+    return total / len(views)
+
+
+class LayerFigures(NamedTuple):
+    """How much one layer does.
+
+    Args:
+        mean: its share of the light.
+        std: standard deviation of its pixels.
+        gradient_energy: mean squared difference to the next pixel in y plus that in x.
+        peak: its brightest pixel.
+    """
+
+    mean: float
+    std: float
+    gradient_energy: float
+    peak: float
+
+
+def layer_figures(layers: Float[Tensor, "*batch layer c ly lx"]) -> list[LayerFigures]:
+    """Return the figures of every layer, front to back."""
+    return [
+        LayerFigures(
+            layer.mean().item(),
+            layer.std(correction=0).item(),
+            (layer.diff(dim=-1).square().mean() + layer.diff(dim=-2).square().mean()).item(),
+            layer.max().item(),
+        )
+        for layer in layers.unbind(dim=-4)
+    ]

@@ -1,0 +1,32 @@
+"""What hardware gets: layers as whole numbers of a panel's bit depth."""
+
+import torch
+from jaxtyping import Float, UInt
+from torch import Tensor
+
+_DTYPES = {8: torch.uint8, 16: torch.uint16}
+
+
+def largest_code(bits: int) -> int:
+    """Return the code of full brightness.
+
+    Raises:
+        ValueError: not 8 or 16 bits.
+    """
+    if bits not in _DTYPES:
+        raise ValueError(f"found {bits} bits, expected 8 or 16")
+    return 2**bits - 1
+
+
+def quantise(
+    layers: Float[Tensor, "*batch layer c y x"], bits: int
+) -> UInt[Tensor, "*batch layer c y x"]:
+    """Round layers, 0 to 1, to the nearest codes of a panel."""
+    codes = (layers * largest_code(bits)).round().clamp(0, largest_code(bits))
+    return codes.to(_DTYPES[bits])
+
+
+def dequantise(codes: UInt[Tensor, "*batch layer c y x"]) -> Float[Tensor, "*batch layer c y x"]:
+    """Return the layers, 0 to 1, that codes stand for."""
+    bits = {dtype: bits for bits, dtype in _DTYPES.items()}[codes.dtype]
+    return codes.to(torch.float32) / largest_code(bits)

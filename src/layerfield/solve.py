@@ -1,0 +1,268 @@
+"""The one loop behind every solver: iterations, stopping, time limit, callback, history.
+
+A solver is a frozen set of hyper-parameters with `init`, `step` and `layers`; its state is a value
+passed along. An unrolled network calls `step` itself.
+"""
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, NamedTuple, Protocol
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from layerfield.composition import compose_view
+from layerfield.display import Display
+from layerfield.gram import Gram
+from layerfield.links import Additive, Link
+from layerfield.projection import Projection
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Find layers within bounds that minimise sum_i w_i ||link_k (A_i P)_k - L_i||^2.
+
+    Args:
+        projection: A, from layers to views.
+        link: what combines the layers.
+        target: L, the views to be shown.
+        weights: w, one for every view.
+        bounds: the range of layer pixels.
+    """
+
+    projection: Projection
+    link: Link
+    target: Float[Tensor, "*batch view c y x"]
+    weights: tuple[float, ...]
+    bounds: tuple[float, float] = (0.0, 1.0)
+
+    @classmethod
+    def of(
+        cls, display: Display, target: Tensor, weights: Sequence[float] | None = None
+    ) -> "Problem":
+        """Pose the problem of showing views on a display.
+
+        Raises:
+            ValueError: not as many views or weights as viewpoints, or a negative weight.
+        """
+        count = display.view_count
+        if target.shape[-4] != count:
+            raise ValueError(
+                f"found {target.shape[-4]} views, display '{display.name}' expects {count}"
+            )
+        chosen = tuple(float(w) for w in weights) if weights is not None else (1.0,) * count
+        if len(chosen) != count or min(chosen) < 0 or not 0 < sum(chosen) < math.inf:
+            raise ValueError(f"expected {count} view weights, at least 0 and not all 0")
+        return cls(display.projection, display.link, target, chosen)
+
+    def in_sum_domain(self) -> "Problem":
+        """Return the problem in the domain where the link is a sum (logarithms for a product)."""
+        target = self.link.to_sum(self.target)
+        return Problem(
+            self.projection, Additive(), target, self.weights, bounds=self.link.sum_bounds
+        )
+
+    @property
+    def layer_count(self) -> int:
+        """Number of layers."""
+        return len(self.projection.shifts[0])
+
+    @property
+    def view_size(self) -> tuple[int, int]:
+        """Height and width of the views."""
+        return self.target.shape[-2], self.target.shape[-1]
+
+    @cached_property
+    def gram(self) -> Gram:
+        """A^T M W A, what a sum link makes of layers."""
+        return Gram(self.projection, self.weights, self.view_size, self.target)
+
+    @cached_property
+    def back_projected(self) -> Float[Tensor, "*batch 1 layer c ly lx"]:
+        """A^T W L: all that a sum link needs to know of the views."""
+        return self.projection.adjoint(self.target, self.weights).unsqueeze(-5)
+
+    @cached_property
+    def coverage(self) -> Float[Tensor, "layer 1 ly lx"]:
+        """A^T W 1: the weight of the views that see a layer pixel; 0 where nobody looks."""
+        ones = self.target.new_ones(len(self.weights), 1, *self.view_size)
+        return self.projection.adjoint(ones, self.weights)
+
+    def view(
+        self, layers: Float[Tensor, "*batch subframe layer c ly lx"], index: int
+    ) -> Float[Tensor, "*batch c y x"]:
+        """Return what one view shows of layers, unclipped."""
+        return compose_view(layers, self.projection, self.link, index)
+
+    def mean_square_error(self, layers: Float[Tensor, "*batch subframe layer c ly lx"]) -> float:
+        """Return the weighted mean square error of unclipped views, pooled over all pixels."""
+        total = 0.0
+        for i, weight in enumerate(self.weights):
+            residual = self.view(layers, i) - self.target[..., i, :, :, :]
+            total += weight * residual.double().square().mean().item()
+        return total / sum(self.weights)
+
+    def even_start(self) -> Float[Tensor, "*batch 1 layer c ly lx"]:
+        """Return the balanced start: every layer shows what its viewers see on average, shared.
+
+        z_k = A_k^T W L / (A_k^T W 1) / K. Pixels that nobody sees take the mean of the views.
+        """
+        mean = self.target.mean(dim=(-4, -2, -1), keepdim=True).unsqueeze(-5)
+        average = self.back_projected / self.coverage.clamp(min=1e-6)
+        return torch.where(self.coverage > 0, average, mean) / self.layer_count
+
+    def flat_start(self) -> Float[Tensor, "*batch 1 layer c ly lx"]:
+        """Return the classical start: constant layers that together show the mean of the views."""
+        mean = self.link.to_sum(self.target).mean(dim=(-4, -3, -2, -1)) / self.layer_count
+        shape = self.back_projected.shape
+        start = self.link.from_sum(mean)[(..., *[None] * 5)].expand(shape)
+        return start.clamp(*self.bounds).clone()
+
+
+State = Any  # each solver's own value, a tensor or a small dataclass
+
+
+class Solver(Protocol):
+    """An iterative algorithm: frozen hyper-parameters, state passed along."""
+
+    def init(self, problem: Problem, start: State | Tensor | None) -> State:
+        """Return the first state: from nothing, from layers, or from a state of this solver."""
+        ...
+
+    def step(self, problem: Problem, state: State) -> State:
+        """Return the state after one iteration."""
+        ...
+
+    def layers(
+        self, problem: Problem, state: State
+    ) -> Float[Tensor, "*batch subframe layer c ly lx"]:
+        """Return the layers of a state, within the bounds of the problem."""
+        ...
+
+
+class Progress(NamedTuple):
+    """One line of history; `seconds` does not count the making of history itself."""
+
+    iteration: int
+    seconds: float
+    mean_square_error: float
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Layers and how they came about.
+
+    Args:
+        layers: pixels, 0 to 1; layer 0 nearest to the viewer, with the margin of the display.
+        iterations: how many were made.
+        seconds: spent in `init` and `step`.
+        status: why it ended, a sentence.
+        history: error after every iteration, if it was asked for.
+        solver: what made it, and
+        state: its last state, for a warm start.
+    """
+
+    layers: Float[Tensor, "*batch subframe layer c ly lx"]
+    iterations: int
+    seconds: float
+    status: str
+    history: tuple[Progress, ...] = ()
+    solver: Solver | None = None
+    state: State = field(default=None, repr=False)
+
+
+def solve(
+    problem: Problem,
+    solver: Solver,
+    *,
+    iterations: int,
+    init: Solution | Tensor | None = None,
+    tolerance: float = 0.0,
+    time_limit: float = math.inf,
+    callback: Callable[[int, State], None] | None = None,
+    history: bool = False,
+) -> Solution:
+    """Run a solver.
+
+    Args:
+        problem: what to solve.
+        solver: how.
+        iterations: the most steps to take; 0 returns the start.
+        init: layers, or a solution whose state is taken up if this solver made it.
+        tolerance: stop when no layer pixel changes by more than this in a step; 0: never.
+        time_limit: start no step after this many seconds.
+        callback: called with the iteration and the state after every step.
+        history: record the mean square error of every iteration, outside the clock.
+
+    Raises:
+        ValueError: a negative number of iterations, or a start of the wrong shape.
+    """
+    if iterations < 0:
+        raise ValueError(f"found {iterations} iterations, expected 0 or more")
+    clock = _Clock(problem.target.device)
+    records: list[Progress] = []
+    with torch.no_grad(), clock:
+        state = solver.init(problem, _start(problem, solver, init))
+    status = f"stopped after the {iterations} iterations asked for"
+    done = 0
+    for _ in range(iterations):
+        if clock.seconds > time_limit:
+            status = f"stopped at the time limit of {time_limit:g} s"
+            break
+        with torch.no_grad(), clock:
+            before = solver.layers(problem, state).clone() if tolerance > 0 else None
+            state = solver.step(problem, state)
+            done += 1
+            change = _change(before, solver.layers(problem, state)) if tolerance > 0 else math.inf
+        if history:
+            error = problem.mean_square_error(solver.layers(problem, state))
+            records.append(Progress(done, clock.seconds, error))
+        if callback is not None:
+            callback(done, state)
+        if change <= tolerance:
+            status = f"converged: no pixel changed by more than {tolerance:g} in iteration {done}"
+            break
+    with clock:
+        layers = solver.layers(problem, state)
+    return Solution(layers, done, clock.seconds, status, tuple(records), solver, state)
+
+
+def _start(problem: Problem, solver: Solver, init: Solution | Tensor | None) -> State | Tensor:
+    if isinstance(init, Solution) and type(init.solver) is type(solver):
+        return init.state
+    layers = init.layers if isinstance(init, Solution) else init
+    expected = problem.back_projected.shape
+    if layers is not None and layers.shape[-4:] != expected[-4:]:
+        raise ValueError(
+            f"the layers to start from have shape {tuple(layers.shape)}, expected "
+            f"{tuple(expected)} [subframe, layer, channel, y, x]"
+        )
+    return layers
+
+
+def _change(before: Tensor | None, after: Tensor) -> float:
+    return math.inf if before is None else (after - before).abs().max().item()
+
+
+class _Clock:
+    """Adds up the time spent inside it; waits for the accelerator where there is one."""
+
+    def __init__(self, device: torch.device) -> None:
+        self.seconds = 0.0
+        self._device = device
+        self._entered = 0.0
+
+    def __enter__(self) -> None:
+        self._entered = self._now()
+
+    def __exit__(self, *exception: object) -> None:
+        self.seconds += self._now() - self._entered
+
+    def _now(self) -> float:
+        if self._device.type == "cuda":
+            torch.cuda.synchronize(self._device)
+        return time.perf_counter()

@@ -1,0 +1,42 @@
+"""For links that are no sum: the direct solver where they nearly are one, then sweeps."""
+
+from dataclasses import dataclass, field
+
+from jaxtyping import Float
+from torch import Tensor
+
+from layerfield.solve import Problem, solve
+from layerfield.solvers.fourier_admm import FourierAdmm
+from layerfield.solvers.sweeps import Sweeps, SweepsState
+
+
+@dataclass(frozen=True)
+class FourierStart:
+    """Solve the box-constrained problem on log max(L, 0.1), exponentiate, then sweep.
+
+    An iteration is one sweep; the start is part of `init`.
+
+    Args:
+        direct: the solver in the domain where the link is a sum.
+        direct_iterations: its iterations.
+        refine: what follows, on the views as they are.
+    """
+
+    direct: FourierAdmm = field(default_factory=FourierAdmm)
+    direct_iterations: int = 10
+    refine: Sweeps = field(default_factory=Sweeps)
+
+    def init(self, problem: Problem, start: SweepsState | Tensor | None) -> SweepsState:
+        if start is not None:
+            return self.refine.init(problem, start)
+        direct = solve(problem.in_sum_domain(), self.direct, iterations=self.direct_iterations)
+        layers = problem.link.from_sum(direct.layers).clamp(*problem.bounds)
+        return self.refine.init(problem, layers)
+
+    def step(self, problem: Problem, state: SweepsState) -> SweepsState:
+        return self.refine.step(problem, state)
+
+    def layers(
+        self, problem: Problem, state: SweepsState
+    ) -> Float[Tensor, "*batch subframe layer c ly lx"]:
+        return self.refine.layers(problem, state)

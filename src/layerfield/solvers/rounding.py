@@ -1,0 +1,71 @@
+"""Round layers together, so that later layers make up for the rounding of earlier ones."""
+
+from dataclasses import dataclass
+
+from jaxtyping import Float, UInt
+from torch import Tensor
+
+from layerfield.nearest import did_you_mean
+from layerfield.panels import dequantise, quantise
+from layerfield.solve import Problem, solve
+from layerfield.solvers.sweeps import layer_step
+
+ROUNDINGS = ("joint", "nearest")
+_ROUNDING_SWEEPS = 2
+
+
+@dataclass(frozen=True)
+class JointRounding:
+    """Sweeps over layers that can only take the codes of a panel.
+
+    A step rounds the least-squares solution of one layer given the others. Whole-pixel shifts let
+    no two pixels of one layer meet, so this is the best choice of codes for that layer.
+
+    Args:
+        bits: of the panels, 8 or 16.
+    """
+
+    bits: int
+
+    def init(self, problem: Problem, start: Tensor | None) -> Tensor:
+        return problem.flat_start() if start is None else start.clone()
+
+    def step(self, problem: Problem, state: Tensor) -> Tensor:
+        layers = state.clone()
+        for k in range(problem.layer_count):
+            layer = layers[..., k, :, :, :]
+            best = layer.add(layer_step(problem, layers, k)).clamp(*problem.bounds)
+            layer.copy_(dequantise(quantise(best, self.bits)))
+        return layers
+
+    def layers(
+        self, problem: Problem, state: Tensor
+    ) -> Float[Tensor, "*batch subframe layer c ly lx"]:
+        return state
+
+
+def panel_codes(
+    problem: Problem,
+    layers: Float[Tensor, "*batch subframe layer c ly lx"],
+    *,
+    bits: int,
+    rounding: str = "joint",
+) -> UInt[Tensor, "*batch subframe layer c ly lx"]:
+    """Return layers as codes of a panel.
+
+    Args:
+        problem: what the layers show.
+        layers: values, 0 to 1.
+        bits: 8 or 16.
+        rounding: "joint": layers together, against the views; at 16 bits, where rounding costs
+            nothing, it is "nearest" all the same: each pixel by itself.
+
+    Raises:
+        ValueError: another number of bits or kind of rounding.
+    """
+    if rounding not in ROUNDINGS:
+        raise ValueError(f"unknown rounding '{rounding}'{did_you_mean(rounding, ROUNDINGS)}")
+    if rounding == "joint" and bits == 8:
+        solver = JointRounding(bits)
+        layers = solve(problem, solver, iterations=_ROUNDING_SWEEPS, init=layers).layers
+    return quantise(layers, bits)

@@ -1,3 +1,47 @@
-"""Layer images for compressive, tensor and layered light field displays."""
+"""Layer images for compressive, tensor and layered light field displays.
 
-__version__ = "0.1.0"
+>>> field = procedural_light_field(size=(48, 64))
+>>> display = Display.load("additive-3")
+>>> solution = synthesize(field, display)
+>>> psnr(display(solution.layers), field.views) > 25
+True
+"""
+
+from layerfield.display import Display, preset_names
+from layerfield.display_spec import DisparitySpec, PhysicalSpec
+from layerfield.evaluate import evaluate
+from layerfield.geometry import Geometry
+from layerfield.io import FieldOptions, load_light_field
+from layerfield.light_field import LightField
+from layerfield.metrics import excess, layer_figures, psnr, psnr_by_view, ssim
+from layerfield.reference import Reference, reference
+from layerfield.scenes import procedural_light_field
+from layerfield.solve import Problem, Solution, solve
+from layerfield.synthesizer import METHODS, synthesize
+from layerfield.version import __version__
+
+__all__ = [
+    "METHODS",
+    "DisparitySpec",
+    "Display",
+    "FieldOptions",
+    "Geometry",
+    "LightField",
+    "PhysicalSpec",
+    "Problem",
+    "Reference",
+    "Solution",
+    "__version__",
+    "evaluate",
+    "excess",
+    "layer_figures",
+    "load_light_field",
+    "preset_names",
+    "procedural_light_field",
+    "psnr",
+    "psnr_by_view",
+    "reference",
+    "solve",
+    "ssim",
+    "synthesize",
+]

@@ -1,14 +1,16 @@
 """Synthesizers x light fields x displays -> rows of figures, the reference beside every method."""
 
+import json
+import math
 import multiprocessing
 import resource
 import statistics
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from layerfield.display import Display
@@ -16,7 +18,6 @@ from layerfield.display_spec import Spec
 from layerfield.light_field import LightField
 from layerfield.metrics import (
     LayerFigures,
-    decibels,
     excess,
     interior,
     layer_figures,
@@ -61,9 +62,7 @@ def figures(layers: Tensor, field: LightField, display: Display) -> Figures:
     by_view = psnr_by_view(views, field.views)
     return Figures(
         psnr=psnr(views, field.views),
-        psnr_interior=psnr(
-            interior(views, display.margin), interior(field.views, display.margin)
-        ),
+        psnr_interior=psnr(interior(views, display.margin), interior(field.views, display.margin)),
         ssim=ssim(views, field.views),
         psnr_view_min=min(by_view),
         psnr_view_max=max(by_view),
@@ -234,23 +233,49 @@ def _peak_megabytes() -> float:
     return peak / (1024**2 if sys.platform == "darwin" else 1024)
 
 
-def table(rows: Sequence[Row]) -> list[list[str]]:
-    """Return rows as text, a heading first, for a table on the terminal."""
-    heading = ["field", "display", "method", "PSNR dB", "interior", "SSIM", "excess", "reference"]
-    lines = [[*heading, "seconds", "peak MB", "layer means"]]
+def write_rows(path: Path, rows: Sequence[Row]) -> None:
+    """Write rows as a JSON list of records; a perfect figure, infinite in dB, becomes null."""
+    records = [
+        {key: None if value in (math.inf, -math.inf) else value for key, value in record.items()}
+        for record in (row.as_record() for row in rows)
+    ]
+    path.write_text(json.dumps(records, indent=2), "utf-8")
+
+
+def tables(rows: Sequence[Row]) -> list[tuple[str, list[list[str]]]]:
+    """Return a title and lines of text, a heading first, for each light field and display."""
+    groups: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
-        ref = row.reference
-        lines.append([
-            row.field,
-            row.display,
-            f"{row.method}:{row.iterations}",
-            f"{decibels(row.mean_square_error):.2f}",
-            f"{row.figures.psnr_interior:.2f}",
-            f"{row.figures.ssim:.4f}",
-            f"{excess(row.mean_square_error, ref.mean_square_error):.1%}" if ref else "",
-            f"{ref.psnr:.2f} ({ref.kind})" if ref else "",
-            f"{row.seconds:.2f}",
-            f"{row.peak_mb:.0f}" if row.peak_mb else "",
-            " ".join(f"{layer.mean:.2f}" for layer in row.figures.layers),
-        ])
+        groups.setdefault((row.field, row.display), []).append(row)
+    return [(_title(group[0]), _lines(group)) for group in groups.values()]
+
+
+def _title(row: Row) -> str:
+    found = row.reference
+    title = f"{row.field} on {row.display}"
+    if found is None:
+        return title
+    bound = "" if found.gap_db is None else f", certified to {found.gap_db:.3f} dB"
+    return f"{title}: {found.kind} {found.psnr:.2f} dB ({found.method}{bound})"
+
+
+def _lines(rows: Sequence[Row]) -> list[list[str]]:
+    isolated = all(row.peak_mb is not None for row in rows)
+    heading = ["method", "PSNR dB", "interior", "excess", "SSIM", "views dB", "s", "layer means"]
+    lines = [[*heading, *["MB"] * isolated]]
+    for row in rows:
+        found, reached = row.figures, row.mean_square_error
+        lines.append(
+            [
+                f"{row.method}:{row.iterations}",
+                f"{found.psnr:.2f}",
+                f"{found.psnr_interior:.2f}",
+                f"{excess(reached, row.reference.mean_square_error):.1%}" if row.reference else "",
+                f"{found.ssim:.4f}",
+                f"{found.psnr_view_min:.1f}-{found.psnr_view_max:.1f}",
+                f"{row.seconds:.2f}",
+                " ".join(f"{layer.mean:.2f}" for layer in found.layers),
+                *([f"{row.peak_mb:.0f}"] if isolated and row.peak_mb else []),
+            ]
+        )
     return lines

@@ -11,17 +11,17 @@ and only the band has to be recomputed when layers change.
 from collections.abc import Sequence
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 from torch import Tensor
 
 from layerfield.projection import Projection
 
 
 def fast_length(least: int) -> int:
-    """Return the smallest even number without prime factors over 5 that is at least `least`.
+    """Return the smallest even number without prime factors over 7 that is at least `least`.
 
     >>> fast_length(404)
-    432
+    420
     """
     length = least + least % 2
     while not _is_smooth(length):
@@ -30,7 +30,7 @@ def fast_length(least: int) -> int:
 
 
 def _is_smooth(number: int) -> bool:
-    for prime in (2, 3, 5):
+    for prime in (2, 3, 5, 7):
         while number % prime == 0:
             number //= prime
     return number == 1
@@ -63,14 +63,16 @@ class Gram:
         self.torus = (fast_length(self.layer_size[0]), fast_length(self.layer_size[1]))
         symbol = projection.symbol(self.torus, weights)
         self.symbol = symbol.to(like.device, _matching(symbol, like))
-        rows, columns = (_wrapped(n, like.device) for n in self.torus)
-        # Two strips make up the band: all columns below and above the views, then what is left
-        # and right of them. Each holds the layer pixels its view pixels look at.
-        strips = [
-            (rows(height, self.torus[0] + 2 * my), columns(0, self.torus[1] + 2 * mx)),
-            (rows(0, height + 2 * my), columns(width, self.torus[1] + 2 * mx)),
+        self.matrix = interleaved(self.symbol)
+        # Two strips of the torus make up the band: all columns below and above the views, then
+        # what is left and right of them. Each holds the layer pixels its view pixels look at.
+        (ty, tx), across = self.torus, (0, self.torus[1] + 2 * mx)
+        strips = [((height, ty + 2 * my), across), ((0, height + 2 * my), (width, tx + 2 * mx))]
+        self.strips = [
+            (rows, columns)
+            for rows, columns in strips
+            if rows[1] - rows[0] > 2 * my and columns[1] - columns[0] > 2 * mx
         ]
-        self.strips = [(y, x) for y, x in strips if len(y) > 2 * my and len(x) > 2 * mx]
 
     def to_torus(self, layers: Float[Tensor, "*batch ly lx"]) -> Float[Tensor, "*batch ty tx"]:
         """Pad layers with zeros to the torus."""
@@ -89,32 +91,54 @@ class Gram:
         self.add_band_(result, layers)
         return result
 
-    def add_band_(self, result: Tensor, layers: Tensor) -> None:
-        """Add the band of `layers` to `result`, in place, at the cost of the band alone."""
+    def add_band_(self, result: Tensor, layers: Tensor, factor: float = 1.0) -> None:
+        """Add a multiple of the band of `layers` to `result`, at the cost of the band alone."""
+        weights = [weight * factor for weight in self.weights]
         for rows, columns in self.strips:
-            seen = self.projection.forward(layers[..., rows[:, None], columns])
-            part = self.projection.adjoint(seen, self.weights)
-            # A strip may hold a row or column of the torus twice: accumulate, one axis at a time.
-            full_rows = part.new_zeros(*part.shape[:-1], self.torus[1])
-            result.index_add_(-2, rows, full_rows.index_add_(-1, columns, part))
+            strip = _cut(_cut(layers, rows, -2), columns, -1)
+            part = torch.zeros_like(strip)
+            self.projection.add_normal_(part, strip, weights)
+            across = part.new_zeros(*part.shape[:-1], self.torus[1])
+            _add_cut_(across, part, columns, -1)
+            _add_cut_(result, across, rows, -2)
 
     def __call__(
         self, layers: Float[Tensor, "*batch layer c ty tx"]
     ) -> Float[Tensor, "*batch layer c ty tx"]:
         """Return A^T M W A layers."""
-        spectrum = multiply(self.symbol, torch.fft.rfft2(layers))
+        spectrum = multiply(self.matrix, torch.fft.rfft2(layers))
         return torch.fft.irfft2(spectrum, s=self.torus) - self.band(layers)
 
 
-def multiply(matrix: Float[Tensor, "layer layer fy fx"], spectrum: Tensor) -> Tensor:
-    """Multiply every frequency of `[..., layer, c, fy, fx]` by its layer x layer matrix."""
-    rows = []
-    for row in matrix:
-        total = row[0] * spectrum[..., 0, :, :, :]
-        for k in range(1, len(row)):
-            total.addcmul_(row[k].to(total.dtype), spectrum[..., k, :, :, :])
-        rows.append(total)
-    return torch.stack(rows, dim=-4)
+def interleaved(
+    matrix: Float[Tensor, "layer layer fy fx"] | Complex[Tensor, "layer layer fy fx"],
+) -> Tensor:
+    """Prepare a matrix for `multiply`.
+
+    A real matrix acts on real and imaginary parts alike; with every entry twice, it fits a
+    spectrum whose real and imaginary parts lie side by side in one long real row.
+    """
+    return matrix if matrix.is_complex() else matrix.repeat_interleave(2, dim=-1)
+
+
+def multiply(
+    matrix: Tensor, spectrum: Complex[Tensor, "*batch layer c fy fx"]
+) -> Complex[Tensor, "*batch layer c fy fx"]:
+    """Multiply every frequency of a spectrum by its layer x layer matrix, once `interleaved`."""
+    if matrix.is_complex():
+        return _multiply(matrix, spectrum)
+    product = _multiply(matrix, torch.view_as_real(spectrum).flatten(-2))
+    return torch.view_as_complex(product.unflatten(-1, (-1, 2)))
+
+
+def _multiply(matrix: Tensor, spectrum: Tensor) -> Tensor:
+    product = torch.empty_like(spectrum)
+    planes = spectrum.unbind(dim=-4)
+    for row, total in zip(matrix, product.unbind(dim=-4), strict=True):
+        torch.mul(row[0], planes[0], out=total)
+        for entry, plane in zip(row[1:], planes[1:], strict=True):
+            total.addcmul_(entry, plane)
+    return product
 
 
 def inverse(matrix: Float[Tensor, "layer layer fy fx"]) -> Float[Tensor, "layer layer fy fx"]:
@@ -142,8 +166,21 @@ def _matching(symbol: Tensor, like: Tensor) -> torch.dtype:
     return like.dtype.to_complex() if symbol.is_complex() else like.dtype
 
 
-def _wrapped(length: int, device: torch.device):
-    def indices(start: int, stop: int) -> Tensor:
-        return torch.arange(start, stop, device=device) % length
+def _cut(values: Tensor, span: tuple[int, int], dim: int) -> Tensor:
+    """Return a span of a torus that may run on past its end, at most once around."""
+    start, stop = span
+    length = values.shape[dim]
+    if stop <= length:
+        return values.narrow(dim, start, stop - start)
+    tail, head = values.narrow(dim, start, length - start), values.narrow(dim, 0, stop - length)
+    return torch.cat([tail, head], dim)
 
-    return indices
+
+def _add_cut_(result: Tensor, part: Tensor, span: tuple[int, int], dim: int) -> None:
+    """Add what `_cut` took back to where it came from; its adjoint, in place."""
+    start, stop = span
+    length = result.shape[dim]
+    before = min(stop, length) - start
+    result.narrow(dim, start, before).add_(part.narrow(dim, 0, before))
+    if stop > length:
+        result.narrow(dim, 0, stop - length).add_(part.narrow(dim, before, stop - length))

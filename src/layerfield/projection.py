@@ -79,12 +79,17 @@ class Projection:
         return [self.window(layer, view, k) for k, layer in enumerate(layers.unbind(dim=-4))]
 
     def scatter_(
-        self, layer: Float[Tensor, "*batch ly lx"], values: Tensor, view: int, index: int
+        self,
+        layer: Float[Tensor, "*batch ly lx"],
+        values: Tensor,
+        view: int,
+        index: int,
+        factor: float = 1.0,
     ) -> None:
-        """Add A_ik^T values to a layer, in place; the adjoint of `window`."""
+        """Add factor A_ik^T values to a layer, in place; the adjoint of `window`."""
         height, width = values.shape[-2:]
         for top, left, weight in self.taps[view][index]:
-            layer[..., top : top + height, left : left + width].add_(values, alpha=weight)
+            layer[..., top : top + height, left : left + width].add_(values, alpha=weight * factor)
 
     def forward(
         self, layers: Float[Tensor, "*batch layer c ly lx"]
@@ -100,12 +105,18 @@ class Projection:
         *batch, _, channels, _, _ = views.shape
         layers = views.new_zeros(*batch, len(self.shifts[0]), channels, *self.layer_size(views))
         for i in range(len(self.shifts)):
-            values = views[..., i, :, :, :]
-            if weights is not None and weights[i] != 1:
-                values = values * weights[i]
+            factor = 1.0 if weights is None else weights[i]
             for k in range(layers.shape[-4]):
-                self.scatter_(layers[..., k, :, :, :], values, i, k)
+                self.scatter_(layers[..., k, :, :, :], views[..., i, :, :, :], i, k, factor)
         return layers
+
+    def add_normal_(self, result: Tensor, layers: Tensor, weights: Sequence[float]) -> None:
+        """Add A^T W A layers to `result`, in place, one view at a time."""
+        planes, sums = layers.unbind(dim=-4), result.unbind(dim=-4)
+        for i, weight in enumerate(weights):
+            seen = sum_of([self.window(plane, i, k) for k, plane in enumerate(planes)])
+            for k, plane in enumerate(sums):
+                self.scatter_(plane, seen, i, k, weight)
 
     def symbol(
         self, size: tuple[int, int], weights: Sequence[float]

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import torch
 
-import layerfield
+from layerfield.version import __version__
 
 
 def provenance(device: torch.device) -> dict[str, str | int]:
     """Return versions, processor and threads, to be recorded beside results."""
     return {
-        "layerfield": layerfield.__version__,
+        "layerfield": __version__,
         "python": platform.python_version(),
         "torch": torch.__version__,
         "device": device.type,

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -126,6 +126,7 @@ class Problem:
 State = Any  # each solver's own value, a tensor or a small dataclass
 
 
+@runtime_checkable
 class Solver(Protocol):
     """An iterative algorithm: frozen hyper-parameters, state passed along."""
 

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from torch import Tensor
 
@@ -20,6 +20,7 @@ from layerfield.solvers.sart import Sart
 from layerfield.solvers.sweeps import Sweeps
 
 
+@runtime_checkable
 class Synthesizer(Protocol):
     """Anything that makes layers from a light field."""
 
@@ -59,7 +60,9 @@ _METHODS = (
         lambda link: FourierAdmm() if link.is_sum else FourierStart(),
     ),
     Method("gradient", "accelerated projected gradients", 100, _ANY, lambda _: Gradient()),
-    Method("nmf", "multiplicative updates of non-negative factors", 100, _ADDITIVE, lambda _: Nmf()),
+    Method(
+        "nmf", "multiplicative updates of non-negative factors", 100, _ADDITIVE, lambda _: Nmf()
+    ),
     Method("sart", "algebraic reconstruction, view by view", 50, _ADDITIVE, lambda _: Sart()),
     Method("sweeps", "accelerated least squares, layer by layer", 10, _ANY, lambda _: Sweeps()),
 )
@@ -120,9 +123,7 @@ def find_method(name: str) -> Method:
     return METHODS[name]
 
 
-def pose(
-    field: LightField, display: Display, weights: Sequence[float] | None = None
-) -> Problem:
+def pose(field: LightField, display: Display, weights: Sequence[float] | None = None) -> Problem:
     """Return the problem of showing a light field on a display.
 
     Raises:

@@ -4,7 +4,7 @@ from layerfield.io.contact_sheet import contact_sheet
 from layerfield.io.images import read_image, write_png
 from layerfield.io.loading import load_light_field
 from layerfield.io.options import Crop, FieldOptions, Order, Quilt
-from layerfield.io.safe_output import whole_directory, whole_file
+from layerfield.io.safe_output import refuse_existing, whole_directory, whole_file
 
 __all__ = [
     "Crop",
@@ -14,6 +14,7 @@ __all__ = [
     "contact_sheet",
     "load_light_field",
     "read_image",
+    "refuse_existing",
     "whole_directory",
     "whole_file",
     "write_png",

@@ -62,7 +62,7 @@ def read_picture(path: Path) -> Picture:
 
 def select_channels(
     pixels: Num[np.ndarray, "*view_y_x c"], source: str
-) -> tuple[Num[np.ndarray, "*view_y_x c"], tuple[str, ...]]:
+) -> tuple[Num[np.ndarray, "*view_y_x kept"], tuple[str, ...]]:
     """Drop alpha.
 
     Args:
@@ -109,12 +109,12 @@ def to_floats(pixels: Num[np.ndarray, "y x c"], source: str) -> Float32[np.ndarr
     return planes.astype(np.float32)
 
 
-def write_png(path: str | Path, pixels: Num[np.ndarray, "c y x"] | Num[Tensor, "c y x"]) -> None:
+def write_png(path: str | Path, pixels: np.ndarray | Tensor) -> None:
     """Write an 8 or 16 bit PNG; equal pixels give equal bytes.
 
     Args:
         path: where; written in place, see `safe_output` for whole files.
-        pixels: uint8 or uint16, one channel or RGB.
+        pixels: uint8 or uint16, `[c, y, x]`, one channel or RGB.
 
     Raises:
         ValueError: another shape or type, or the file cannot be written.

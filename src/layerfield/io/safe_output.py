@@ -64,6 +64,17 @@ def whole_directory(path: str | Path, *, force: bool = False) -> Iterator[Path]:
             shutil.rmtree(temporary, ignore_errors=True)
 
 
+def refuse_existing(path: str | Path, *, force: bool = False) -> None:
+    """Refuse, before any work is done, what `whole_directory` would refuse in the end.
+
+    Raises:
+        ValueError: the folder exists and may not be replaced, or its parent is no folder.
+    """
+    path = Path(path)
+    with _one_line_errors(path):
+        _refuse_directory(path, force)
+
+
 def _beside(path: Path) -> Path:
     return path.with_name(f".{path.stem[:80]}-{token_hex(6)}{path.suffix}")
 

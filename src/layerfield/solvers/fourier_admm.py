@@ -6,16 +6,21 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.gram import inverse, multiply
+from layerfield.gram import interleaved, inverse, multiply
 from layerfield.solve import Problem
 
 
 @dataclass(frozen=True, eq=False)
 class AdmmState:
-    """Iterate and dual in one: z = clamp(shadow), u = shadow - z, on the torus."""
+    """Iterate and dual in one: z = clamp(shadow), u = shadow - z, on the torus.
+
+    Args:
+        shadow: s = z + u.
+        resolvent: 2 rho (G + rho I)^-1, as `multiply` wants it.
+    """
 
     shadow: Float[Tensor, "*batch 1 layer c ty tx"]
-    resolvent: Float[Tensor, "layer layer fy fx"]
+    resolvent: Tensor
 
 
 @dataclass(frozen=True)
@@ -43,20 +48,22 @@ class FourierAdmm:
             return start
         gram = problem.gram
         symbol = gram.symbol
+        rho = self._rho(problem)
         identity = torch.eye(len(symbol), dtype=symbol.dtype, device=symbol.device)
-        resolvent = inverse(symbol + self._rho(problem) * identity[:, :, None, None])
+        resolvent = 2 * rho * inverse(symbol + rho * identity[:, :, None, None])
         layers = problem.even_start() if start is None else start
-        return AdmmState(gram.to_torus(layers), resolvent)
+        return AdmmState(gram.to_torus(layers), interleaved(resolvent))
 
     def step(self, problem: Problem, state: AdmmState) -> AdmmState:
-        gram, rho = problem.gram, self._rho(problem)
+        gram, share = problem.gram, 1 / (2 * self._rho(problem))
         iterate = state.shadow.clamp(*problem.bounds)
-        right = (2 * iterate - state.shadow).mul_(rho)
-        gram.from_torus(right).add_(problem.back_projected)
-        gram.add_band_(right, iterate)
+        # A^T W L + rho (z - u) + band, all over 2 rho; z - u = 2 z - s
+        right = torch.sub(iterate, state.shadow, alpha=0.5)
+        gram.from_torus(right).add_(problem.back_projected, alpha=share)
+        gram.add_band_(right, iterate, share)
         spectrum = multiply(state.resolvent, torch.fft.rfft2(right))
-        solved = torch.fft.irfft2(spectrum, s=gram.torus)
-        shadow = state.shadow + solved.sub_(iterate).mul_(self.relaxation)
+        solved = torch.fft.irfft2(spectrum, s=gram.torus).sub_(iterate)
+        shadow = torch.add(state.shadow, solved, alpha=self.relaxation, out=solved)
         return AdmmState(shadow, state.resolvent)
 
     def layers(self, problem: Problem, state: AdmmState) -> Float[Tensor, "*batch 1 layer c ly lx"]:

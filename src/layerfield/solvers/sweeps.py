@@ -70,6 +70,6 @@ def layer_step(
         pixels = projection.windows(layers, i)
         others = link.derivative(pixels, index)
         residual = problem.target[..., i, :, :, :].unsqueeze(-4) - link.compose(pixels)
-        projection.scatter_(gradient, residual.mul_(others).mul_(weight), i, index)
-        projection.scatter_(curvature, others.square().mul_(weight), i, index)
+        projection.scatter_(gradient, residual.mul_(others), i, index, weight)
+        projection.scatter_(curvature, others.square_(), i, index, weight)
     return torch.where(curvature > 0, gradient / curvature.clamp(min=1e-12), 0)

@@ -1,0 +1,5 @@
+"""`python -m layerfield`."""
+
+from layerfield.cli import main
+
+main()

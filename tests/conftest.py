@@ -1,0 +1,38 @@
+"""Shapes are checked at run time in tests, and only there; the light fields to judge on."""
+
+import os
+from pathlib import Path
+
+import pytest
+import torch
+from jaxtyping import install_import_hook
+
+hook = install_import_hook("layerfield", "shape_checks.checked")
+hook.__enter__()
+
+FIELDS = Path(
+    os.environ.get("LAYERFIELD_FIELDS") or Path(__file__).parents[2] / "shared" / "lightfields"
+)
+
+
+@pytest.fixture(autouse=True)
+def _one_thread():
+    """Small tensors and shared machines: more threads cost more than they bring."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _own_cache(tmp_path_factory):
+    """References of the tests stay with the tests."""
+    os.environ["LAYERFIELD_CACHE"] = str(tmp_path_factory.mktemp("cache"))
+
+
+@pytest.fixture(scope="session")
+def fields() -> Path:
+    """The folder of light fields to judge on."""
+    if not FIELDS.is_dir():
+        pytest.skip(f"no light fields in {FIELDS}; set LAYERFIELD_FIELDS")
+    return FIELDS

@@ -1,9 +1,11 @@
 """The command line: options in, one call each, tables out. One line and status 2 for errors."""
 
 import inspect
+import io
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from functools import wraps
@@ -23,13 +25,16 @@ from layerfield.display_spec import format_spec
 from layerfield.evaluate import Row, evaluate, parse_methods, tables, write_rows
 from layerfield.io import (
     FieldOptions,
-    contact_sheet,
+    is_contact_sheet,
     load_light_field,
     refuse_existing,
     whole_directory,
     whole_file,
+    write_contact_sheet,
 )
 from layerfield.light_field import LightField
+from layerfield.nearest import did_you_mean
+from layerfield.panels import largest_code
 from layerfield.reference import cached_reference, reference
 from layerfield.result import (
     display_of,
@@ -41,6 +46,7 @@ from layerfield.result import (
     write_views,
     write_views_array,
 )
+from layerfield.solvers.rounding import ROUNDINGS
 from layerfield.synthesizer import METHODS, find_method, pose, synthesize
 from layerfield.version import __version__
 
@@ -52,8 +58,13 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 _PIPE_WIDTH = 200  # tables in a pipe are not squeezed into 80 columns
-_out = Console(highlight=False, width=None if sys.stdout.isatty() else _PIPE_WIDTH)
-_err = Console(stderr=True, highlight=False)
+_SMALLEST = 11  # pixels of a view, the window of SSIM
+_DEVICES = ("cpu", "cuda")
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_out = Console(highlight=False, markup=False, emoji=False)  # paths may hold [ and :
+_err = Console(stderr=True, highlight=False, markup=False, emoji=False)
+if not _out.is_terminal:
+    _out.width = _PIPE_WIDTH
 
 Field = Annotated[str, typer.Argument(help="folder of views, picture, .npy, .npz or .h5")]
 Out = Annotated[Path, typer.Option("--out", help="folder to make")]
@@ -62,7 +73,7 @@ Bits = Annotated[int, typer.Option("--bits", help="of the images that are writte
 DisplayName = Annotated[str, typer.Option("--display", help="a preset or a TOML file")]
 Device = Annotated[str, typer.Option("--device", help="cpu or cuda")]
 Iterations = Annotated[
-    int | None, typer.Option("--iterations", help="the method's own if not given")
+    int | None, typer.Option("--iterations", min=0, help="the method's own if not given")
 ]
 
 _FIELD_OPTIONS = {
@@ -128,13 +139,17 @@ def info(
     contact: Annotated[
         Path | None, typer.Option("--contact-sheet", help="where to write it; FIELD-views.png")
     ] = None,
+    force: Force = False,
 ) -> None:
     """Say what a light field holds, and draw a contact sheet of its views."""
-    with _status() as tick:
+    path = contact or Path(f"{field_name(field)}-views.png")
+    _keep_inputs(path, field)
+    with whole_file(path, force=force or is_contact_sheet(path)) as temporary, _status() as tick:
         tick("reading")
         loaded = load_light_field(field, options)
         tick("estimating disparity")
         report = estimate_disparity(loaded, order=options.order)
+        write_contact_sheet(temporary, loaded)
     height, width = loaded.size
     low, high = loaded.views.min().item(), loaded.views.max().item()
     kind = "grey" if loaded.views.shape[-3] == 1 else "colour"
@@ -142,9 +157,6 @@ def info(
     _out.print(f"values     {low:.3f} to {high:.3f}, mean {loaded.views.mean().item():.3f}")
     for line in [*report.lines(), *loaded.notes]:
         _out.print(line, soft_wrap=True)
-    path = contact or Path(f"{loaded.name}-views.png")
-    with whole_file(path, force=True) as temporary:
-        contact_sheet(loaded).save(temporary, format="PNG")
     _out.print(f"contact sheet: {path}", soft_wrap=True)
 
 
@@ -174,9 +186,13 @@ def synth(
     force: Force = False,
 ) -> None:
     """Make the layer images that show a light field on a display."""
+    # What can be refused is refused before the work, not after it.
     target, count = Display.load(display), find_method(method).iterations
     count = count if iterations is None else iterations
+    largest_code(bits)
+    _refuse_unknown("rounding", rounding, ROUNDINGS)
     refuse_existing(out, force=force)
+    _keep_inputs(out, field, display)
     with _status(total=count) as tick:
         tick("reading")
         loaded = _load(field, options, device)
@@ -222,7 +238,9 @@ def simulate_command(
     force: Force = False,
 ) -> None:
     """Write the views that viewers of these layers see."""
+    largest_code(bits)
     refuse_existing(out, force=force)
+    _keep_inputs(out, folder, display)
     layers, shown_on = read_layers(folder), display_of(folder)
     if display is not None:
         shown_on = Display.load(display)
@@ -252,11 +270,17 @@ def evaluate_command(
 ) -> None:
     """Compare methods on light fields and displays, the reference beside them."""
     chosen = parse_methods(wanted, iterations)
+    largest_code(bits)
     models = [Display.load(name) for name in names]
-    loaded = [_load(field, options, "cpu") for field in paths]
+    _refuse_repeats("displays", [model.name for model in models])
+    for model in models:
+        _refuse_unserved(model, [name for name, _ in chosen])
+    loaded = _told_apart([_load(field, options, "cpu") for field in paths], paths)
     for field in loaded:
         for model in models:
             pose(field, model)
+    if json is not None:
+        _keep_inputs(json, *paths, *names)
     with _file_or_nothing(json, force) as path:
         with _status(total=len(loaded) * len(models) * (len(chosen) + 1)) as tick:
             rows = evaluate(loaded, models, chosen, bits=bits, isolate=True, tick=tick)
@@ -289,36 +313,107 @@ def methods() -> None:
 
 def main() -> None:
     """Run the command line; anything wrong is one line on standard error and exit status 2."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # clean up as for Ctrl-C
+    _prepare()
     try:
         status = app(standalone_mode=False)
-    except (KeyboardInterrupt, typer.Abort):
-        _fail("interrupted; nothing was written")
+    except (_Interrupted, typer.Abort):
+        _fail("interrupted; nothing is half-written")
     except (ValueError, OSError) as error:
         _fail(str(error))
-    except MemoryError:
-        _fail("out of memory; take fewer or smaller views (--views, --step, --scale, --crop)")
     except Exception as error:
-        # Usage errors of click, whichever copy of click this typer brings along.
-        usage = getattr(error, "format_message", None)
-        if usage is None:
-            raise
-        _fail(usage())
+        _fail(_expected(error))
     sys.exit(status)
+
+
+class _Interrupted(BaseException):
+    """A signal asked to stop. Typer would turn a KeyboardInterrupt into an exit of its own."""
+
+
+def _prepare() -> None:
+    for number in _SIGNALS:
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as under nohup
+            signal.signal(number, _interrupt)
+    if isinstance(sys.stdout, io.TextIOWrapper):  # file names may hold what it cannot print
+        sys.stdout.reconfigure(errors="backslashreplace")
+
+
+def _interrupt(*_: object) -> NoReturn:
+    for number in _SIGNALS:  # a second one must not disturb the cleaning up
+        signal.signal(number, signal.SIG_IGN)
+    raise _Interrupted
+
+
+def _expected(error: Exception) -> str:
+    """Return the line for errors that are not ValueErrors; raise those that nobody expects."""
+    if isinstance(error, MemoryError) or "memory" in str(error):  # PyTorch: a RuntimeError
+        return "out of memory; take fewer or smaller views (--views, --step, --scale, --crop)"
+    # Usage errors of click, whichever copy of click this typer brings along.
+    usage = getattr(error, "format_message", None)
+    if usage is None:
+        raise error
+    return usage() or "no command given; see layerfield --help"
 
 
 def _fail(message: str) -> NoReturn:
     line = " ".join(message.split())
-    sys.stderr.write(f"layerfield: {line}\n")
+    _err.print(f"layerfield: {line}", soft_wrap=True)
     sys.exit(2)
 
 
+def _refuse_unknown(what: str, name: str, known: Sequence[str]) -> None:
+    if name not in known:
+        raise ValueError(f"unknown {what} '{name}'{did_you_mean(name, known)}")
+
+
+def _refuse_repeats(what: str, names: list[str]) -> None:
+    for name, count in Counter(names).items():
+        if count > 1:
+            raise ValueError(
+                f"found {count} {what} called '{name}'; give each once, by a name of its own"
+            )
+
+
+def _refuse_unserved(display: Display, names: list[str]) -> None:
+    for name in names:
+        links = find_method(name).links
+        if display.link.name not in links:
+            raise ValueError(
+                f"method '{name}' serves {' and '.join(links)} displays, '{display.name}' is "
+                f"{display.link.name}; leave one of them out"
+            )
+
+
+def _keep_inputs(out: Path, *inputs: str | Path | None) -> None:
+    """Refuse to replace what is read, even by force."""
+    for given in map(Path, filter(None, inputs)):
+        if out.exists() and given.exists() and given.resolve().is_relative_to(out.resolve()):
+            raise ValueError(f"{out} holds the input {given} and would replace it; give another")
+
+
+def _told_apart(loaded: list[LightField], paths: list[str]) -> list[LightField]:
+    """Name light fields by their folder, too, where their names are the same."""
+    names = Counter(field.name for field in loaded)
+    apart = [
+        replace(field, name=f"{Path(path).resolve().parent.name}/{field.name}")
+        if names[field.name] > 1
+        else field
+        for field, path in zip(loaded, paths, strict=True)
+    ]
+    _refuse_repeats("light fields", [field.name for field in apart])
+    return apart
+
+
 def _load(field: str, options: FieldOptions, device: str) -> LightField:
-    if device not in ("cpu", "cuda"):
-        raise ValueError(f"unknown device '{device}', expected cpu or cuda")
+    _refuse_unknown("device", device, _DEVICES)
     if device == "cuda" and not torch.cuda.is_available():
         raise ValueError("there is no CUDA device here; use --device cpu")
     loaded = load_light_field(field, options)
+    if min(loaded.size) < _SMALLEST:
+        height, width = loaded.size
+        raise ValueError(
+            f"the views of '{loaded.name}' are {width}x{height} px, expected at least "
+            f"{_SMALLEST}x{_SMALLEST}; take larger ones"
+        )
     return replace(loaded, views=loaded.views.to(device))
 
 
@@ -340,7 +435,7 @@ def _file_or_nothing(path: Path | None, force: bool) -> Iterator[Path | None]:
 @contextmanager
 def _status(total: int | None = None) -> Iterator[Callable[..., None]]:
     """Show a bar on a terminal, nothing in a pipe; yields tick(what, done)."""
-    columns = [SpinnerColumn(), TextColumn("{task.description}"), BarColumn(20)]
+    columns = [SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(20)]
     with Progress(
         *columns, TimeElapsedColumn(), console=_err, transient=True, disable=not _err.is_terminal
     ) as progress:
@@ -359,15 +454,18 @@ def _report(out: Path, field: LightField, facts: dict[str, Any]) -> None:
     compared = "; add --reference to see how near that is to the best"
     if facts["reference"] is not None:
         known = facts["reference"]
-        compared = f"; {known['kind']} {known['psnr']:.2f} dB, excess {facts['excess']:.1%}"
-    figure = "exact" if facts["psnr"] is None else f"{facts['psnr']:.2f} dB"
-    interior = "" if facts["psnr"] is None else f" (interior {facts['psnr_interior']:.2f} dB)"
+        excess = "" if facts["excess"] is None else f", excess {facts['excess']:.1%}"
+        compared = f"; {known['kind']} {_decibels(known['psnr'])}{excess}"
     _out.print(
-        f"{facts['method']} on {facts['display']}: {figure}{interior} after "
-        f"{facts['iterations']} iterations, {facts['seconds']:.2f} s{compared}",
+        f"{facts['method']} on {facts['display']}: {_decibels(facts['psnr'])} (interior "
+        f"{_decibels(facts['psnr_interior'])}) after {facts['iterations']} iterations, {facts['seconds']:.2f} s{compared}",
         soft_wrap=True,
     )
-    _out.print(f"{len(facts['layers'])} layers, {facts['bits']} bit, are in {out / 'layers'}")
+    _out.print(f"{len(facts['layers'])} layers, {facts['bits']} bit, are in {out / 'layers'}", soft_wrap=True)
+
+
+def _decibels(value: float | None) -> str:
+    return "exact" if value is None else f"{value:.2f} dB"
 
 
 def _print_tables(rows: list[Row]) -> None:

@@ -11,7 +11,7 @@ and only the band has to be recomputed when layers change.
 from collections.abc import Sequence
 
 import torch
-from jaxtyping import Complex, Float
+from jaxtyping import Complex, Float, Inexact
 from torch import Tensor
 
 from layerfield.projection import Projection
@@ -111,7 +111,7 @@ class Gram:
 
 
 def interleaved(
-    matrix: Float[Tensor, "layer layer fy fx"] | Complex[Tensor, "layer layer fy fx"],
+    matrix: Inexact[Tensor, "layer layer fy fx"],
 ) -> Tensor:
     """Prepare a matrix for `multiply`.
 
@@ -141,7 +141,7 @@ def _multiply(matrix: Tensor, spectrum: Tensor) -> Tensor:
     return product
 
 
-def inverse(matrix: Float[Tensor, "layer layer fy fx"]) -> Float[Tensor, "layer layer fy fx"]:
+def inverse(matrix: Inexact[Tensor, "layer layer fy fx"]) -> Inexact[Tensor, "layer layer fy fx"]:
     """Invert the positive definite matrix of every frequency, by Gauss-Jordan elimination.
 
     All frequencies go together; the few steps over layers cost less than a batched library call.

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Inexact
 from torch import Tensor
 
 from layerfield.geometry import Point
@@ -120,7 +120,7 @@ class Projection:
 
     def symbol(
         self, size: tuple[int, int], weights: Sequence[float]
-    ) -> Float[Tensor, "layer layer fy fx"]:
+    ) -> Inexact[Tensor, "layer layer fy fx"]:
         """Return the Gram matrix A^H W A of every frequency of a torus, as `rfft2` orders them.
 
         G_kl(f) = sum_i w_i conj(A_ik(f)) A_il(f), A_ik(f) = exp(2 pi i f . d_ik) times the

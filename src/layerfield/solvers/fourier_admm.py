@@ -32,39 +32,68 @@ class FourierAdmm:
 
     written with the one array s = z + u. Views are cropped: A^T W L is completed by what the
     current layers show around the views (majorise-minimise; the fixed point is the exact cropped
-    optimum). At low frequencies the solution is not unique, and since start and steps divide
-    light evenly among layers, the balanced one is found.
+    optimum). At low frequencies light can be moved from layer to layer at hardly any cost: the
+    start shares it evenly, and the means are held together by a small quadratic term.
 
     Args:
         penalty: rho as a share of the sum of view weights.
         relaxation: a, 1 to 2.
+        balance: of the term b/2 sum_k (mean P_k - mean P)^2 per pixel, as a share of the sum of
+            view weights; 0 for the optimum, whatever its split.
     """
 
     penalty: float = 0.05
     relaxation: float = 1.6
+    balance: float = 0.003
 
     def init(self, problem: Problem, start: AdmmState | Tensor | None) -> AdmmState:
         if isinstance(start, AdmmState):
             return start
-        gram = problem.gram
-        symbol = gram.symbol
-        rho = self._rho(problem)
-        identity = torch.eye(len(symbol), dtype=symbol.dtype, device=symbol.device)
-        resolvent = 2 * rho * inverse(symbol + rho * identity[:, :, None, None])
         layers = problem.even_start() if start is None else start
-        return AdmmState(gram.to_torus(layers), interleaved(resolvent))
+        shadow = problem.gram.to_torus(layers)
+        if start is not None:
+            shadow = shadow + self._dual(problem, shadow)
+        return AdmmState(shadow, interleaved(self._resolvent(problem)))
+
+    def _resolvent(self, problem: Problem) -> Tensor:
+        """2 rho (G + rho I)^-1, with the term for balance at frequency zero."""
+        rho = self._rho(problem)
+        matrix = problem.gram.symbol.clone()
+        identity = torch.eye(len(matrix), dtype=matrix.dtype, device=matrix.device)
+        matrix += rho * identity[:, :, None, None]
+        apart = identity - 1 / len(matrix)
+        matrix[:, :, 0, 0] += self.balance * sum(problem.weights) * apart
+        return 2 * rho * inverse(matrix)
+
+    def _dual(self, problem: Problem, iterate: Tensor) -> Tensor:
+        """The dual of layers that are nearly optimal: u = -gradient / rho where a bound holds."""
+        low, high = problem.bounds
+        gradient = problem.gram(iterate)
+        problem.gram.from_torus(gradient).sub_(problem.back_projected)
+        held = ((iterate <= low) & (gradient > 0)) | ((iterate >= high) & (gradient < 0))
+        return torch.where(held, gradient / -self._rho(problem), 0)
 
     def step(self, problem: Problem, state: AdmmState) -> AdmmState:
-        gram, share = problem.gram, 1 / (2 * self._rho(problem))
         iterate = state.shadow.clamp(*problem.bounds)
+        moved = self._solved(problem, state, iterate).sub_(iterate)
+        shadow = torch.add(state.shadow, moved, alpha=self.relaxation, out=moved)
+        return AdmmState(shadow, state.resolvent)
+
+    def unbounded(
+        self, problem: Problem, state: AdmmState
+    ) -> Float[Tensor, "*batch 1 layer c ly lx"]:
+        """Return x of the next iteration, before the box: it holds the best dual certificate."""
+        iterate = state.shadow.clamp(*problem.bounds)
+        return problem.gram.from_torus(self._solved(problem, state, iterate))
+
+    def _solved(self, problem: Problem, state: AdmmState, iterate: Tensor) -> Tensor:
+        gram, share = problem.gram, 1 / (2 * self._rho(problem))
         # A^T W L + rho (z - u) + band, all over 2 rho; z - u = 2 z - s
         right = torch.sub(iterate, state.shadow, alpha=0.5)
         gram.from_torus(right).add_(problem.back_projected, alpha=share)
         gram.add_band_(right, iterate, share)
         spectrum = multiply(state.resolvent, torch.fft.rfft2(right))
-        solved = torch.fft.irfft2(spectrum, s=gram.torus).sub_(iterate)
-        shadow = torch.add(state.shadow, solved, alpha=self.relaxation, out=solved)
-        return AdmmState(shadow, state.resolvent)
+        return torch.fft.irfft2(spectrum, s=gram.torus)
 
     def layers(self, problem: Problem, state: AdmmState) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         return problem.gram.from_torus(state.shadow).clamp(*problem.bounds)

@@ -21,15 +21,13 @@ class Nmf:
     """
 
     def init(self, problem: Problem, start: Tensor | None) -> Tensor:
-        layers = problem.flat_start() if start is None else start.clamp(*problem.bounds)
-        return problem.gram.to_torus(layers)
+        return problem.flat_start() if start is None else start.clamp(*problem.bounds)
 
     def step(self, problem: Problem, state: Tensor) -> Tensor:
         gram = problem.gram
-        shown = gram.from_torus(gram(state))
+        shown = gram.from_torus(gram(gram.to_torus(state)))
         ratio = problem.back_projected / shown.clamp(min=1e-6 * sum(problem.weights))
-        ratio = torch.where(problem.coverage > 0, ratio, 1)
-        return gram.to_torus(gram.from_torus(state).mul(ratio).clamp(*problem.bounds))
+        return torch.where(problem.coverage > 0, ratio, 1).mul_(state).clamp_(*problem.bounds)
 
     def layers(self, problem: Problem, state: Tensor) -> Float[Tensor, "*batch 1 layer c ly lx"]:
-        return problem.gram.from_torus(state)
+        return state

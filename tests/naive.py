@@ -1,0 +1,61 @@
+"""Plain loops in double precision, one ray at a time: what the fast code is compared with."""
+
+import math
+
+import numpy as np
+
+
+def sample(layer: np.ndarray, y: float, x: float) -> float:
+    """Linear interpolation at a position inside the layer."""
+    y0, x0 = math.floor(y + 1e-9), math.floor(x + 1e-9)
+    fy, fx = max(y - y0, 0.0), max(x - x0, 0.0)
+    total = 0.0
+    for dy, wy in ((0, 1 - fy), (1, fy)):
+        for dx, wx in ((0, 1 - fx), (1, fx)):
+            if wy * wx > 1e-12:
+                total += wy * wx * layer[y0 + dy, x0 + dx]
+    return total
+
+
+def view(layers: np.ndarray, shifts, margin, product: bool) -> np.ndarray:
+    """One view of `[layer, y, x]`, pixel by pixel."""
+    my, mx = margin
+    height, width = layers.shape[1] - 2 * my, layers.shape[2] - 2 * mx
+    result = np.empty((height, width))
+    for y in range(height):
+        for x in range(width):
+            met = [
+                sample(layer, y + my + dy, x + mx + dx)
+                for layer, (dx, dy) in zip(layers, shifts, strict=True)
+            ]
+            result[y, x] = math.prod(met) if product else sum(met)
+    return result
+
+
+def traced_view(layers, viewpoint, depths, pitch, margin, product: bool) -> np.ndarray:
+    """One view by tracing rays from (X, Y, Z) through pixels to layers on their scaled grids.
+
+    The ray through (x, y, 0) meets depth z at x (1 - z / Z) + X z / Z; the pixels of that layer are
+    (1 - z / Z) times as large as those of the display plane. All lengths in metres.
+    """
+    ex, ey, ez = viewpoint
+    my, mx = margin
+    height, width = layers.shape[1] - 2 * my, layers.shape[2] - 2 * mx
+    result = np.empty((height, width))
+    for row in range(height):
+        for column in range(width):
+            x = (column - (width - 1) / 2) * pitch
+            y = (row - (height - 1) / 2) * pitch
+            met = []
+            for layer, z in zip(layers, depths, strict=True):
+                hit_x, hit_y = x * (1 - z / ez) + ex * z / ez, y * (1 - z / ez) + ey * z / ez
+                own = pitch * (1 - z / ez)
+                met.append(
+                    sample(
+                        layer,
+                        hit_y / own + (height - 1) / 2 + my,
+                        hit_x / own + (width - 1) / 2 + mx,
+                    )
+                )
+            result[row, column] = math.prod(met) if product else sum(met)
+    return result

@@ -3,6 +3,8 @@
 import os
 from pathlib import Path
 
+os.environ.setdefault("GOMP_SPINCOUNT", "2000")  # before torch, as layerfield itself does
+
 import pytest
 import torch
 from jaxtyping import install_import_hook

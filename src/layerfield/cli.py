@@ -2,6 +2,7 @@
 
 import inspect
 import io
+import re
 import signal
 import sys
 from collections import Counter
@@ -25,6 +26,7 @@ from layerfield.display_spec import format_spec
 from layerfield.evaluate import Row, evaluate, parse_methods, tables, write_rows
 from layerfield.io import (
     FieldOptions,
+    field_name,
     is_contact_sheet,
     load_light_field,
     refuse_existing,
@@ -32,6 +34,7 @@ from layerfield.io import (
     whole_file,
     write_contact_sheet,
 )
+from layerfield.io.images import SUFFIXES
 from layerfield.light_field import LightField
 from layerfield.nearest import did_you_mean
 from layerfield.panels import largest_code
@@ -60,6 +63,7 @@ app = typer.Typer(
 _PIPE_WIDTH = 200  # tables in a pipe are not squeezed into 80 columns
 _SMALLEST = 11  # pixels of a view, the window of SSIM
 _DEVICES = ("cpu", "cuda")
+_NO_MEMORY = re.compile("out of memory|allocate memory")  # of PyTorch's RuntimeErrors
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _out = Console(highlight=False, markup=False, emoji=False)  # paths may hold [ and :
 _err = Console(stderr=True, highlight=False, markup=False, emoji=False)
@@ -192,7 +196,7 @@ def synth(
     largest_code(bits)
     _refuse_unknown("rounding", rounding, ROUNDINGS)
     refuse_existing(out, force=force)
-    _keep_inputs(out, field, display)
+    _keep_inputs(out, field, _own_file(display))
     with _status(total=count) as tick:
         tick("reading")
         loaded = _load(field, options, device)
@@ -240,7 +244,7 @@ def simulate_command(
     """Write the views that viewers of these layers see."""
     largest_code(bits)
     refuse_existing(out, force=force)
-    _keep_inputs(out, folder, display)
+    _keep_inputs(out, folder, _own_file(display))
     layers, shown_on = read_layers(folder), display_of(folder)
     if display is not None:
         shown_on = Display.load(display)
@@ -280,7 +284,7 @@ def evaluate_command(
         for model in models:
             pose(field, model)
     if json is not None:
-        _keep_inputs(json, *paths, *names)
+        _keep_inputs(json, *paths, *map(_own_file, names))
     with _file_or_nothing(json, force) as path:
         with _status(total=len(loaded) * len(models) * (len(chosen) + 1)) as tick:
             rows = evaluate(loaded, models, chosen, bits=bits, isolate=True, tick=tick)
@@ -345,7 +349,7 @@ def _interrupt(*_: object) -> NoReturn:
 
 def _expected(error: Exception) -> str:
     """Return the line for errors that are not ValueErrors; raise those that nobody expects."""
-    if isinstance(error, MemoryError) or "memory" in str(error):  # PyTorch: a RuntimeError
+    if isinstance(error, MemoryError) or _NO_MEMORY.search(str(error)):
         return "out of memory; take fewer or smaller views (--views, --step, --scale, --crop)"
     # Usage errors of click, whichever copy of click this typer brings along.
     usage = getattr(error, "format_message", None)
@@ -384,10 +388,16 @@ def _refuse_unserved(display: Display, names: list[str]) -> None:
 
 
 def _keep_inputs(out: Path, *inputs: str | Path | None) -> None:
-    """Refuse to replace what is read, even by force."""
-    for given in map(Path, filter(None, inputs)):
-        if out.exists() and given.exists() and given.resolve().is_relative_to(out.resolve()):
-            raise ValueError(f"{out} holds the input {given} and would replace it; give another")
+    """Refuse to replace what is read, even by force, or to put a picture among the views."""
+    for given in (Path(name) for name in inputs if name and Path(name).exists()):
+        source, place = given.resolve(), out.resolve()
+        among = place.parent == source and place.suffix.lower() in SUFFIXES
+        if among or (out.exists() and source.is_relative_to(place)):
+            raise ValueError(f"{out} is, holds or lies among the input {given}; give another name")
+
+
+def _own_file(display: str | None) -> str | None:
+    return None if display in preset_names() else display
 
 
 def _told_apart(loaded: list[LightField], paths: list[str]) -> list[LightField]:
@@ -458,10 +468,14 @@ def _report(out: Path, field: LightField, facts: dict[str, Any]) -> None:
         compared = f"; {known['kind']} {_decibels(known['psnr'])}{excess}"
     _out.print(
         f"{facts['method']} on {facts['display']}: {_decibels(facts['psnr'])} (interior "
-        f"{_decibels(facts['psnr_interior'])}) after {facts['iterations']} iterations, {facts['seconds']:.2f} s{compared}",
+        f"{_decibels(facts['psnr_interior'])}) after {facts['iterations']} iterations, "
+        f"{facts['seconds']:.2f} s{compared}",
         soft_wrap=True,
     )
-    _out.print(f"{len(facts['layers'])} layers, {facts['bits']} bit, are in {out / 'layers'}", soft_wrap=True)
+    _out.print(
+        f"{len(facts['layers'])} layers, {facts['bits']} bit, are in {out / 'layers'}",
+        soft_wrap=True,
+    )
 
 
 def _decibels(value: float | None) -> str:

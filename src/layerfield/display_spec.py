@@ -1,6 +1,8 @@
 """A display as it is written down: validated data, one TOML file, no arithmetic beyond units."""
 
+import json
 import math
+import reprlib
 import tomllib
 from pathlib import Path
 from typing import Annotated, Literal
@@ -10,8 +12,15 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from layerfield.geometry import Geometry, Point, grid_points
 from layerfield.nearest import did_you_mean
 
-Grid = tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]]
-Depths = Annotated[tuple[float, ...], Field(min_length=1, max_length=8)]
+# Strict: no text or truth value passes for a number.
+Count = Annotated[int, Field(strict=True, ge=1)]
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Grid = tuple[Count, Count]
+Viewpoints = tuple[tuple[Number, Number], ...]
+Depths = Annotated[tuple[Number, ...], Field(min_length=1, max_length=8)]
+
+_MOST_VIEWS = 10_000
+_WIDEST_MARGIN = 4096  # pixels; wider ones come from mistaken units
 
 
 class _Spec(BaseModel):
@@ -24,7 +33,11 @@ class _Spec(BaseModel):
 
     @model_validator(mode="after")
     def _geometry_holds(self):
-        self.geometry()
+        if self.views is not None and math.prod(self.views) > _MOST_VIEWS:
+            raise ValueError(
+                f"'views' is {list(self.views)}, expected at most {_MOST_VIEWS} in all"
+            )
+        _refuse_far_shifts(self.geometry())
         return self
 
     def geometry(self) -> Geometry:
@@ -42,7 +55,7 @@ class DisparitySpec(_Spec):
     """
 
     disparity: Depths
-    viewpoints: tuple[Point, ...] | None = None
+    viewpoints: Viewpoints | None = None
 
     def geometry(self) -> Geometry:
         points = _one_of(self.views, self.viewpoints, "viewpoints", (1.0, 1.0))
@@ -64,10 +77,10 @@ class PhysicalSpec(_Spec):
     """
 
     depth_mm: Depths
-    pitch_um: float
-    viewing_distance_mm: float
-    viewing_angle_deg: float | tuple[float, float] | None = None
-    viewpoints_mm: tuple[Point, ...] | None = None
+    pitch_um: Annotated[Number, Field(gt=0)]
+    viewing_distance_mm: Annotated[float, Field(strict=True, gt=0)]
+    viewing_angle_deg: Number | tuple[Number, Number] | None = None
+    viewpoints_mm: Viewpoints | None = None
 
     def geometry(self) -> Geometry:
         if self.views is not None and self.viewing_angle_deg is None:
@@ -101,6 +114,16 @@ class PhysicalSpec(_Spec):
         return (step, step)
 
 
+def _refuse_far_shifts(geometry: Geometry) -> None:
+    slope = max(abs(c) for point in geometry.slopes for c in point)
+    shift = slope * max(map(abs, geometry.parallax))
+    if not shift <= _WIDEST_MARGIN:
+        raise ValueError(
+            f"the outermost views shift the layers by up to {shift:.0f} px, expected at most "
+            f"{_WIDEST_MARGIN}; check the numbers and their units"
+        )
+
+
 Spec = DisparitySpec | PhysicalSpec
 
 
@@ -121,7 +144,7 @@ def parse_spec(text: str, source: str) -> Spec:
     """
     try:
         data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # also of numbers that are too long
         raise ValueError(f"{source} is not valid TOML: {error}") from None
     model = PhysicalSpec if any(key in data for key in _PHYSICAL_KEYS) else DisparitySpec
     try:
@@ -150,22 +173,26 @@ _PHYSICAL_KEYS = set(PhysicalSpec.model_fields) - set(DisparitySpec.model_fields
 
 
 def _one_line(error: ValidationError, model: type[BaseModel]) -> str:
-    first = error.errors()[0]
-    key = ".".join(str(part) for part in first["loc"] if isinstance(part, (str, int)))
+    # A mistyped key is also a missing one; the typo says more.
+    first = min(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
+    key, *inside = first["loc"] or ("",)
     match first["type"]:
         case "extra_forbidden":
-            return f"unknown key '{key}'{did_you_mean(key, model.model_fields)}"
-        case "missing":
+            return f"unknown key '{key}'{did_you_mean(str(key), model.model_fields)}"
+        case "missing" if not inside:
             return f"the key '{key}' is missing"
+        case "missing":
+            return f"'{key}' holds too few numbers"
         case "value_error":
             return first["msg"].removeprefix("Value error, ")
-    return f"'{key}' is {first['input']!r}; {first['msg'].lower()}"
+    place = "".join(f"[{part}]" for part in inside if isinstance(part, int))
+    expected = first["msg"].lower().replace("tuple", "list")
+    return f"'{key}{place}' is {reprlib.repr(first['input'])}; {expected}"
 
 
 def _toml(value: object) -> str:
     if isinstance(value, tuple):
         return "[" + ", ".join(map(_toml, value)) + "]"
     if isinstance(value, str):
-        escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
-        return f'"{escaped}"'
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     return repr(value)  # numbers: repr is exact, and inf is TOML

@@ -23,6 +23,7 @@ from layerfield.display import Display
 from layerfield.display_spec import format_spec
 from layerfield.evaluate import Figures, figures
 from layerfield.io import read_image, whole_directory, write_png
+from layerfield.io.images import SUFFIXES
 from layerfield.light_field import LightField
 from layerfield.metrics import excess, mean_square_error
 from layerfield.panels import dequantise, quantise
@@ -89,8 +90,8 @@ def make_result(
         "margin": display.margin,
         "made_with": provenance(field.views.device),
         **_quality(figures(layers, field, display)),
-        "reference": reference and asdict(reference) | {"psnr": reference.psnr},
-        "excess": reference and excess(error, reference.mean_square_error),
+        "reference": reference and asdict(reference) | {"psnr": _finite(reference.psnr)},
+        "excess": reference and _finite(excess(error, reference.mean_square_error)),
     }
     return Result(codes.squeeze(-5), display, facts)
 
@@ -180,10 +181,13 @@ def margin_of(folder: str | Path) -> tuple[int, int] | None:
     if not path.is_file():
         return None
     try:
-        y, x = json.loads(path.read_text("utf-8"))["margin"]
-        return int(y), int(x)
-    except (ValueError, KeyError, TypeError):
-        raise ValueError(f"{path} holds no margin; give --margin and --display") from None
+        margin = json.loads(path.read_text("utf-8"))["margin"]
+    except (ValueError, KeyError, TypeError, RecursionError):
+        margin = None
+    match margin:
+        case [int(y), int(x)]:
+            return y, x
+    raise ValueError(f"{path} holds no margin; give --margin, or make the result anew")
 
 
 def simulate(
@@ -214,7 +218,11 @@ def simulate(
 
 
 def _layer_files(folder: Path) -> list[Path]:
-    images = [p for p in folder.iterdir() if p.suffix.lower() in {".png", ".tif", ".tiff", ".jpg"}]
+    images = [
+        p
+        for p in folder.iterdir()
+        if p.suffix.lower() in SUFFIXES and not p.name.startswith(".") and not p.is_dir()
+    ]
     return sorted(images, key=lambda p: ([int(n) for n in re.findall(r"\d+", p.stem)], p.name))
 
 

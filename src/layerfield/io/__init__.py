@@ -1,8 +1,8 @@
 """Light fields in, pictures out."""
 
-from layerfield.io.contact_sheet import contact_sheet
+from layerfield.io.contact_sheet import contact_sheet, is_contact_sheet, write_contact_sheet
 from layerfield.io.images import read_image, write_png
-from layerfield.io.loading import load_light_field
+from layerfield.io.loading import field_name, load_light_field
 from layerfield.io.options import Crop, FieldOptions, Order, Quilt
 from layerfield.io.safe_output import refuse_existing, whole_directory, whole_file
 
@@ -12,10 +12,13 @@ __all__ = [
     "Order",
     "Quilt",
     "contact_sheet",
+    "field_name",
+    "is_contact_sheet",
     "load_light_field",
     "read_image",
     "refuse_existing",
     "whole_directory",
     "whole_file",
+    "write_contact_sheet",
     "write_png",
 ]

@@ -9,7 +9,13 @@ import numpy as np
 
 from layerfield.io.images import Picture, select_channels
 from layerfield.io.options import FieldOptions, Grid
-from layerfield.io.stored import Reader, StoredViews, known_grid, listed_grid
+from layerfield.io.stored import (
+    Reader,
+    StoredViews,
+    known_grid,
+    listed_grid,
+    refuse_picture_hints,
+)
 
 _CHANNELS = (1, 3, 4)
 _PREFERRED = ("views", "LF")
@@ -28,6 +34,7 @@ def open_array(path: Path, options: FieldOptions) -> StoredViews:
     Raises:
         ValueError: not such a file, a damaged one, or another shape.
     """
+    refuse_picture_hints(path, "an array", options)
     return views_of_array(_load(path), options, str(path))
 
 

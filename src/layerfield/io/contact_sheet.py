@@ -1,17 +1,36 @@
 """All views of a light field on one picture, to see at a glance what was read."""
 
 import math
+from pathlib import Path
 
 import torch
 from PIL import Image, ImageDraw, ImageFont
+from PIL.PngImagePlugin import PngInfo
 from torch.nn import functional
 
 from layerfield.light_field import LightField
 
+_MARK = "layerfield contact sheet"  # in the file, to know our own again
 _GAP = 4
 _LABEL = 16  # height of the line above every thumbnail
 _LARGEST = 240  # a thumbnail is not wider than this, px
 _BACKGROUND, _INK = (24, 24, 24), (230, 230, 230)
+
+
+def write_contact_sheet(path: Path, field: LightField) -> None:
+    """Write the contact sheet of a light field as PNG, marked as one."""
+    mark = PngInfo()
+    mark.add_text("Software", _MARK)
+    contact_sheet(field).save(path, format="PNG", pnginfo=mark)
+
+
+def is_contact_sheet(path: Path) -> bool:
+    """Return whether this is a file that `write_contact_sheet` wrote."""
+    try:
+        with Image.open(path, formats=["PNG"]) as image:
+            return image.info.get("Software") == _MARK
+    except Exception:  # whatever else it is, it is not ours
+        return False
 
 
 def contact_sheet(field: LightField, max_width: int = 1600) -> Image.Image:

@@ -8,7 +8,7 @@ import numpy as np
 
 from layerfield.io.images import Picture, select_channels
 from layerfield.io.options import FieldOptions
-from layerfield.io.stored import Reader, StoredViews, known_grid
+from layerfield.io.stored import Reader, StoredViews, known_grid, refuse_picture_hints
 
 _DATASET = "LF"
 
@@ -23,6 +23,7 @@ def open_hdf5(path: Path, options: FieldOptions) -> StoredViews:
     Raises:
         ValueError: not such a file, a damaged one, no /LF or one of another shape.
     """
+    refuse_picture_hints(path, "an array", options)
     shape = _from_file(path, lambda dataset: dataset.shape)
     if len(shape) != 5 or 0 in shape:
         raise ValueError(

@@ -34,8 +34,15 @@ def load_light_field(path: str | Path, options: FieldOptions = _DEFAULTS) -> Lig
     stored = _open(path, options)
     grid, chosen = select_views(stored.grid, options)
     views, notes = _decode(stored, grid, chosen, options)
-    name = path.resolve().name if path.is_dir() else path.stem
-    return LightField(views, grid, name=name, notes=tuple(dict.fromkeys(stored.notes + notes)))
+    return LightField(
+        views, grid, name=field_name(path), notes=tuple(dict.fromkeys(stored.notes + notes))
+    )
+
+
+def field_name(path: str | Path) -> str:
+    """Return what a light field read from there is called: the file or folder, no path."""
+    path = Path(path)
+    return path.resolve().name if path.is_dir() else path.stem
 
 
 def _open(path: Path, options: FieldOptions) -> StoredViews:

@@ -6,8 +6,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from secrets import token_hex
 
-_OURS = ("result.json", "display.toml")  # a folder with one of these was written by us
-
 
 @contextmanager
 def whole_file(path: str | Path, *, force: bool = False) -> Iterator[Path]:
@@ -76,7 +74,7 @@ def refuse_existing(path: str | Path, *, force: bool = False) -> None:
 
 
 def _beside(path: Path) -> Path:
-    return path.with_name(f".{path.stem[:80]}-{token_hex(6)}{path.suffix}")
+    return path.with_name(f".{path.stem[:50]}-{token_hex(6)}{path.suffix}")
 
 
 @contextmanager
@@ -108,11 +106,17 @@ def _refuse_directory(path: Path, force: bool) -> None:
         raise ValueError(f"cannot write {path}: it is a file, expected the name of a folder")
     if not force:
         raise ValueError(f"{path} exists; give another name, or force to replace it")
-    if any(path.iterdir()) and not any((path / name).is_file() for name in _OURS):
+    if any(path.iterdir()) and not _made_here(path):
         raise ValueError(
-            f"{path} holds neither {' nor '.join(_OURS)}, so it was not made here and will not be "
-            "replaced; give another name, or remove it yourself"
+            f"{path} holds neither result.json nor views with a display.toml, so it was not made "
+            "here and will not be replaced; give another name, or remove it yourself"
         )
+
+
+def _made_here(path: Path) -> bool:
+    """A display.toml without views may be the user's own, beside anything else."""
+    simulated = (path / "display.toml").is_file() and (path / "views").is_dir()
+    return (path / "result.json").is_file() or simulated
 
 
 def _exists(path: Path) -> bool:

@@ -38,6 +38,22 @@ class Reader:
     open: Callable[[Path, FieldOptions], StoredViews]
 
 
+def refuse_picture_hints(path: Path, kind: str, options: FieldOptions) -> None:
+    """Refuse options for one picture where something else is read.
+
+    Args:
+        path: what is read.
+        kind: what that is, for the message.
+        options: `quilt` and `lenslet` matter.
+
+    Raises:
+        ValueError: one of them was given.
+    """
+    for name in ("quilt", "lenslet"):
+        if getattr(options, name) is not None:
+            raise ValueError(f"{path} is {kind}, but {name} is for one picture; leave it out")
+
+
 def known_grid(found: Grid, options: FieldOptions, source: str) -> Grid:
     """Return the grid of views whose stored layout is known.
 

@@ -9,7 +9,14 @@ from typing import TypeVar
 
 from layerfield.io.images import SUFFIXES, read_picture
 from layerfield.io.options import FieldOptions, Grid
-from layerfield.io.stored import Reader, StoredViews, known_grid, listed_grid, show
+from layerfield.io.stored import (
+    Reader,
+    StoredViews,
+    known_grid,
+    listed_grid,
+    refuse_picture_hints,
+    show,
+)
 
 # Row and column at the end of the name; or, in the Stanford archive, before the camera's position.
 _ROW_AND_COLUMN = (
@@ -34,7 +41,7 @@ def open_folder(path: Path, options: FieldOptions) -> StoredViews:
     Raises:
         ValueError: no views, missing ones, two for one place, or a grid that does not fit.
     """
-    _refuse_hints(path, options)
+    refuse_picture_hints(path, "a folder", options)
     pictures = _pictures(path)
     places = [(file, _row_and_column(file.stem)) for file in pictures]
     placed = [(file, place) for file, place in places if place is not None]
@@ -51,12 +58,6 @@ def open_folder(path: Path, options: FieldOptions) -> StoredViews:
 
 
 READER = Reader(accepts=lambda path, options: path.is_dir(), open=open_folder)
-
-
-def _refuse_hints(path: Path, options: FieldOptions) -> None:
-    for name in ("quilt", "lenslet"):
-        if getattr(options, name) is not None:
-            raise ValueError(f"{path} is a folder, but {name} is for one picture; leave it out")
 
 
 def _pictures(path: Path) -> list[Path]:

@@ -1,0 +1,112 @@
+"""Time of the direct solver against its floor, a stacked CNN and the classical solvers.
+
+    python benchmarks/speed.py OUT.json [FIELD ...]
+
+All ratios are taken in one run. Floors: the FFT pairs of ten iterations alone, on arrays of the
+solver's own size; each pair moves 9 planes (3 layers, 3 channels) of 4 bytes a pixel forth and
+back. The network is the one published for this task: 25 views of one colour channel in, 19 modules
+of 3x3 convolution to 64 channels and ReLU, 3 layers out, run once for each channel.
+"""
+
+import json
+import math
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+
+import torch
+from five_fields import five_fields
+from torch import nn
+
+from layerfield import METHODS, Display, LightField, Problem, reference, solve
+from layerfield.provenance import provenance
+from layerfield.synthesizer import pose
+
+REPEATS = 5
+MARGINS_DB = (0.5, 0.1)
+CAP_SECONDS = 60.0
+CAP_ITERATIONS = 400
+
+
+def median_seconds(run: Callable[[], object], repeats: int = REPEATS) -> float:
+    run()
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        run()
+        times.append(time.perf_counter() - start)
+    return statistics.median(times)
+
+
+def stacked_cnn() -> nn.Module:
+    widths = [25] + [64] * 19
+    modules = [
+        part
+        for inputs, outputs in pairwise(widths)
+        for part in (nn.Conv2d(inputs, outputs, 3, padding=1), nn.ReLU())
+    ]
+    return nn.Sequential(*modules, nn.Conv2d(64, 3, 3, padding=1), nn.ReLU())
+
+
+@torch.no_grad()
+def direct_against_floor_and_network(field: LightField, display: Display) -> dict:
+    solver = METHODS["fourier-admm"].make(display.link)
+    ten = median_seconds(lambda: solve(pose(field, display), solver, iterations=10))
+    shape = (3 * field.views.shape[-3], *pose(field, display).gram.torus)
+    planes = torch.rand(shape)
+    pair = median_seconds(
+        lambda: [torch.fft.irfft2(torch.fft.rfft2(planes), s=shape[1:]) for _ in range(10)]
+    )
+    network, channels = stacked_cnn(), field.views.transpose(0, 1).contiguous()
+    forward = median_seconds(lambda: [network(c[None]) for c in channels], repeats=2)
+    return {
+        "ten_iterations_s": ten,
+        "ten_fft_pairs_s": pair,
+        "network_forward_s": forward,
+        "solver_over_floor": ten / pair,
+        "network_over_solver": forward / ten,
+    }
+
+
+def time_to_quality(field: LightField, display: Display) -> dict:
+    """Seconds and iterations until each method is within 0.5 and 0.1 dB of the reference."""
+    best = reference(pose(field, display)).psnr
+    result = {}
+    for method in METHODS.values():
+        if display.link.name in method.links:
+            result[method.name] = _times(pose(field, display), method.make(display.link), best)
+    return {"reference_psnr": best, "methods": result}
+
+
+def _times(problem: Problem, solver, best: float) -> dict:
+    run = solve(problem, solver, iterations=CAP_ITERATIONS, time_limit=CAP_SECONDS, history=True)
+    curve = [(p.iteration, p.seconds, -10 * math.log10(p.mean_square_error)) for p in run.history]
+    found: dict = {"cap": None if len(curve) == CAP_ITERATIONS else f"{CAP_SECONDS:g} s"}
+    for margin in MARGINS_DB:
+        hits = [entry for entry in curve if entry[2] >= best - margin]
+        found[f"{margin:g} dB"] = (
+            {"iterations": hits[0][0], "seconds": hits[0][1]} if hits else None
+        )
+    return found
+
+
+def main(out: Path, names: list[str]) -> None:
+    records = {"made_with": provenance(torch.device("cpu")), "fields": {}}
+    for name, field in five_fields().items():
+        if names and name not in names:
+            continue
+        additive = Display.load("additive-3")
+        record = {"size": field.size, **direct_against_floor_and_network(field, additive)}
+        print(name, json.dumps(record), flush=True)
+        for preset in ("additive-3", "multiplicative-3"):
+            record[preset] = time_to_quality(field, Display.load(preset))
+            print(" ", preset, json.dumps(record[preset]), flush=True)
+        records["fields"][name] = record
+    out.write_text(json.dumps(records, indent=1), "utf-8")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), sys.argv[2:])

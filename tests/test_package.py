@@ -1,0 +1,163 @@
+"""The package as others meet it: public names, the wheel, the README, the displays."""
+
+import re
+import subprocess
+import sys
+import tomllib
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import layerfield
+from layerfield import DisparitySpec, Display, PhysicalSpec, preset_names
+from layerfield.display_spec import format_spec, parse_spec
+from layerfield.result import write_views
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_public_names():
+    assert sorted(layerfield.__all__, key=lambda n: (n.startswith("__"), n)) == [
+        "DisparitySpec",
+        "Display",
+        "FieldOptions",
+        "Geometry",
+        "LightField",
+        "METHODS",
+        "PhysicalSpec",
+        "Problem",
+        "Reference",
+        "Solution",
+        "evaluate",
+        "excess",
+        "layer_figures",
+        "load_light_field",
+        "preset_names",
+        "procedural_light_field",
+        "psnr",
+        "psnr_by_view",
+        "reference",
+        "solve",
+        "ssim",
+        "synthesize",
+        "__version__",
+    ]
+    for name in layerfield.__all__:
+        assert getattr(layerfield, name) is not None
+
+
+def test_one_version_everywhere():
+    citation = (ROOT / "CITATION.cff").read_text("utf-8")
+    assert f"version: {layerfield.__version__}\n" in citation
+    assert "Apache License" in (ROOT / "LICENSE").read_text("utf-8")
+
+
+def test_lower_rooms_do_not_import_higher_ones():
+    """Data flows one way; a room is imported only by rooms listed after it."""
+    order = [
+        "version", "nearest", "geometry", "light_field", "projection", "gram", "links",
+        "composition", "display_spec", "display", "panels", "solve", "solvers", "metrics",
+        "provenance", "scenes", "io", "plane_sweep", "disparity", "synthesizer", "reference",
+        "evaluate", "result", "report", "demo", "cli", "__main__",
+    ]  # fmt: skip
+    source = ROOT / "src" / "layerfield"
+    for file in source.rglob("*.py"):
+        room = file.relative_to(source).parts[0].removesuffix(".py")
+        if room == "__init__":
+            continue
+        assert room in order, f"{file} belongs to no room; place it in this list"
+        for line in file.read_text("utf-8").splitlines():
+            match = re.match(r"\s*from layerfield\.(\w+)", line)
+            if match:
+                assert order.index(match[1]) <= order.index(room), f"{file}: {line}"
+
+
+def test_a_built_wheel_installs_and_runs(tmp_path):
+    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir"]
+    subprocess.run([*build, str(tmp_path), str(ROOT)], check=True, capture_output=True)
+    (wheel,) = tmp_path.glob("layerfield-*.whl")
+    names = zipfile.ZipFile(wheel).namelist()
+    assert "layerfield/displays/additive-3.toml" in names
+    assert not [name for name in names if name.startswith(("tests", "benchmarks"))]
+    venv.create(tmp_path / "venv", with_pip=True, system_site_packages=False)
+    python = tmp_path / "venv" / "bin" / "python"
+    install = [str(python), "-m", "pip", "install", "--quiet", "--no-deps", "--no-index"]
+    subprocess.run([*install, str(wheel)], check=True)
+    # the dependencies are those of this environment; only layerfield comes from the wheel
+    site = next(p for p in map(Path, sys.path) if (p / "torch").is_dir())
+    own = subprocess.run(
+        [str(python), "-c", "import sysconfig; print(sysconfig.get_paths()['purelib'])"],
+        check=True, capture_output=True, text=True,
+    ).stdout.strip()  # fmt: skip
+    program = f"import sys; sys.path += [{str(site)!r}]; import layerfield.cli as c; c.main()"
+    ran = subprocess.run(
+        [str(python), "-c", program, "displays"],
+        check=True, capture_output=True, text=True, cwd=tmp_path,
+        env={"PYTHONPATH": own, "PATH": "/usr/bin:/bin"},
+    )  # fmt: skip
+    assert "additive-3" in ran.stdout
+
+
+@pytest.mark.parametrize("name", preset_names())
+def test_presets_go_through_their_files_unchanged(name):
+    spec = Display.load(name).spec
+    assert parse_spec(format_spec(spec), "again") == spec
+    tomllib.loads(format_spec(spec))
+    assert spec.name == name
+
+
+def test_displays_go_through_toml_exactly():
+    spec = PhysicalSpec(
+        name='with "quotes" and \\',
+        link="multiplicative",
+        depth_mm=(12.345678901234567, 1 / 3),
+        pitch_um=1e2 / 7,
+        viewing_distance_mm=float("inf"),
+        viewing_angle_deg=(10.0, 5.0),
+        views=(3, 4),
+    )
+    assert parse_spec(format_spec(spec), "again") == spec
+    listed = DisparitySpec(link="additive", disparity=(1.0,), viewpoints=((0.1, -2.0), (0.0, 0.0)))
+    assert Display(parse_spec(format_spec(listed), "again")).geometry == listed.geometry()
+
+
+def commands_in(document: str) -> list[str]:
+    """Commands of the shell blocks of a document, continuation lines joined."""
+    blocks = re.findall(r"```sh\n(.*?)```", document, flags=re.DOTALL)
+    lines = "\n".join(blocks).replace("\\\n", " ").splitlines()
+    return [line.split("#")[0].strip() for line in lines if line.split("#")[0].strip()]
+
+
+def test_the_readme_opens_with_the_two_commands():
+    commands = commands_in((ROOT / "README.md").read_text("utf-8"))
+    assert commands[:2] == ["make demo", "make test"]
+
+
+def test_every_command_of_the_readme_runs(tmp_path):
+    """In an empty folder, with a light field called `my-views` and one display file in it."""
+    readme = (ROOT / "README.md").read_text("utf-8")
+    field = layerfield.procedural_light_field(size=(40, 48))
+    write_views(tmp_path / "my-views", field.views, Display.load("additive-3"), 8)
+    (toml,) = re.findall(r"```toml\n(.*?)```", readme, flags=re.DOTALL)
+    (tmp_path / "my-display.toml").write_text(toml, "utf-8")
+    bin_folder = Path(sys.executable).parent
+    for command in commands_in(readme):
+        if command.startswith("layerfield") and "demo" not in command:
+            done = subprocess.run(
+                f"{bin_folder}/{command}",
+                shell=True, cwd=tmp_path, capture_output=True, text=True, check=False,
+            )  # fmt: skip
+            assert done.returncode == 0, f"{command}\n{done.stderr}"
+
+
+def test_every_python_block_of_the_readme_runs(tmp_path, monkeypatch):
+    readme = (ROOT / "README.md").read_text("utf-8")
+    field = layerfield.procedural_light_field(size=(40, 48))
+    write_views(tmp_path / "my-views", field.views, Display.load("additive-3"), 8)
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"```python\n(.*?)```", readme, flags=re.DOTALL)
+    assert blocks
+    for block in blocks:
+        exec(compile(block, "README.md", "exec"), {})

@@ -27,7 +27,7 @@ from layerfield.synthesizer import pose
 
 REPEATS = 5
 MARGINS_DB = (0.5, 0.1)
-CAP_SECONDS = 60.0
+CAP_SECONDS = 30.0
 CAP_ITERATIONS = 400
 
 

@@ -1005,7 +1005,6 @@ def test_the_installed_command_fails_alike(desk):
     assert contents(desk) == before
 
 
-@pytest.mark.xfail(reason="statistics.pstdev in evaluate.figures fails on infinite PSNR")
 def test_a_perfect_reproduction(desk):
     write_views(desk / "black", change=lambda view: 0 * view)
     args = ["--display", "additive-3", "--out", "out", "--reference"]

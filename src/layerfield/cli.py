@@ -15,15 +15,12 @@ from typing import Annotated, Any, NoReturn
 
 import torch
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
 from layerfield.demo import run_demo
 from layerfield.disparity import estimate_disparity
 from layerfield.display import Display, preset_names
 from layerfield.display_spec import format_spec
-from layerfield.evaluate import Row, evaluate, parse_methods, tables, write_rows
+from layerfield.evaluate import evaluate, parse_methods, write_rows
 from layerfield.io import (
     FieldOptions,
     field_name,
@@ -51,6 +48,7 @@ from layerfield.result import (
 )
 from layerfield.solvers.rounding import ROUNDINGS
 from layerfield.synthesizer import METHODS, find_method, pose, synthesize
+from layerfield.terminal import complain, print_lines, print_tables, report, say, status
 from layerfield.version import __version__
 
 app = typer.Typer(
@@ -60,15 +58,10 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-_PIPE_WIDTH = 200  # tables in a pipe are not squeezed into 80 columns
 _SMALLEST = 11  # pixels of a view, the window of SSIM
 _DEVICES = ("cpu", "cuda")
 _NO_MEMORY = re.compile("out of memory|allocate memory")  # of PyTorch's RuntimeErrors
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-_out = Console(highlight=False, markup=False, emoji=False)  # paths may hold [ and :
-_err = Console(stderr=True, highlight=False, markup=False, emoji=False)
-if not _out.is_terminal:
-    _out.width = _PIPE_WIDTH
 
 Field = Annotated[str, typer.Argument(help="folder of views, picture, .npy, .npz or .h5")]
 Out = Annotated[Path, typer.Option("--out", help="folder to make")]
@@ -122,17 +115,17 @@ def _with_field_options(command: Callable[..., None]) -> Callable[..., None]:
 @app.callback(invoke_without_command=True)
 def _root(version: Annotated[bool, typer.Option("--version", help="print it")] = False) -> None:
     if version:
-        _out.print(f"layerfield {__version__}")
+        say(f"layerfield {__version__}")
         raise typer.Exit
 
 
 @app.command()
 def demo(out: Out = Path("demo"), force: Force = False) -> None:
     """Make a sample light field, its layers on two displays, and compare methods."""
-    with _status() as tick:
+    with status() as tick:
         rows = run_demo(out, force=force, tick=tick)
-    _print_tables(rows)
-    _out.print(f"layers, views and comparison.png are in {out}", soft_wrap=True)
+    print_tables(rows)
+    say(f"layers, views and comparison.png are in {out}")
 
 
 @app.command()
@@ -148,7 +141,7 @@ def info(
     """Say what a light field holds, and draw a contact sheet of its views."""
     path = contact or Path(f"{field_name(field)}-views.png")
     _keep_inputs(path, field)
-    with whole_file(path, force=force or is_contact_sheet(path)) as temporary, _status() as tick:
+    with whole_file(path, force=force or is_contact_sheet(path)) as temporary, status() as tick:
         tick("reading")
         loaded = load_light_field(field, options)
         tick("estimating disparity")
@@ -157,11 +150,11 @@ def info(
     height, width = loaded.size
     low, high = loaded.views.min().item(), loaded.views.max().item()
     kind = "grey" if loaded.views.shape[-3] == 1 else "colour"
-    _out.print(f"views      {loaded.grid[0]}x{loaded.grid[1]}, {width}x{height} px, {kind}")
-    _out.print(f"values     {low:.3f} to {high:.3f}, mean {loaded.views.mean().item():.3f}")
+    say(f"views      {loaded.grid[0]}x{loaded.grid[1]}, {width}x{height} px, {kind}")
+    say(f"values     {low:.3f} to {high:.3f}, mean {loaded.views.mean().item():.3f}")
     for line in [*report.lines(), *loaded.notes]:
-        _out.print(line, soft_wrap=True)
-    _out.print(f"contact sheet: {path}", soft_wrap=True)
+        say(line)
+    say(f"contact sheet: {path}")
 
 
 @app.command()
@@ -197,7 +190,7 @@ def synth(
     _refuse_unknown("rounding", rounding, ROUNDINGS)
     refuse_existing(out, force=force)
     _keep_inputs(out, field, _own_file(display))
-    with _status(total=count) as tick:
+    with status(total=count) as tick:
         tick("reading")
         loaded = _load(field, options, device)
         solution = synthesize(
@@ -222,7 +215,7 @@ def synth(
             options=_recorded(options),
         )
         write_result(out, result, simulate=simulate_views, force=force)
-    _report(out, loaded, result.facts)
+    report(out, loaded, result.facts)
 
 
 @app.command(name="simulate")
@@ -257,7 +250,7 @@ def simulate_command(
         if array:
             write_views_array(temporary / "views.npy", views, shown_on)
         (temporary / "display.toml").write_text(format_spec(shown_on.spec), "utf-8")
-    _out.print(f"{len(views)} views are in {out / 'views'}", soft_wrap=True)
+    say(f"{len(views)} views are in {out / 'views'}")
 
 
 @app.command(name="evaluate")
@@ -286,11 +279,11 @@ def evaluate_command(
     if json is not None:
         _keep_inputs(json, *paths, *map(_own_file, names))
     with _file_or_nothing(json, force) as path:
-        with _status(total=len(loaded) * len(models) * (len(chosen) + 1)) as tick:
+        with status(total=len(loaded) * len(models) * (len(chosen) + 1)) as tick:
             rows = evaluate(loaded, models, chosen, bits=bits, isolate=True, tick=tick)
         if path is not None:
             write_rows(path, rows)
-    _print_tables(rows)
+    print_tables(rows)
 
 
 @app.command()
@@ -302,7 +295,7 @@ def displays() -> None:
         views = "x".join(map(str, display.geometry.grid or (display.view_count,)))
         lines.append([display.name, display.link.name, views, str(display.layer_count)])
         lines[-1].append(display.spec.description)
-    _print_lines(lines)
+    print_lines(lines)
 
 
 @app.command()
@@ -312,7 +305,7 @@ def methods() -> None:
     for method in METHODS.values():
         links = ", ".join(method.links)
         lines.append([method.name, str(method.iterations), links, method.summary])
-    _print_lines(lines)
+    print_lines(lines)
 
 
 def main() -> None:
@@ -360,7 +353,7 @@ def _expected(error: Exception) -> str:
 
 def _fail(message: str) -> NoReturn:
     line = " ".join(message.split())
-    _err.print(f"layerfield: {line}", soft_wrap=True)
+    complain(f"layerfield: {line}")
     sys.exit(2)
 
 
@@ -440,57 +433,3 @@ def _file_or_nothing(path: Path | None, force: bool) -> Iterator[Path | None]:
         return
     with whole_file(path, force=force) as temporary:
         yield temporary
-
-
-@contextmanager
-def _status(total: int | None = None) -> Iterator[Callable[..., None]]:
-    """Show a bar on a terminal, nothing in a pipe; yields tick(what, done)."""
-    columns = [SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(20)]
-    with Progress(
-        *columns, TimeElapsedColumn(), console=_err, transient=True, disable=not _err.is_terminal
-    ) as progress:
-        task = progress.add_task("", total=total)
-
-        def tick(what: str, done: int | None = None) -> None:
-            advance = 1 if done is None and total is not None else 0
-            progress.update(task, description=what, completed=done, advance=advance or None)
-
-        yield tick
-
-
-def _report(out: Path, field: LightField, facts: dict[str, Any]) -> None:
-    for note in field.notes:
-        _out.print(f"note: {note}", soft_wrap=True)
-    compared = "; add --reference to see how near that is to the best"
-    if facts["reference"] is not None:
-        known = facts["reference"]
-        excess = "" if facts["excess"] is None else f", excess {facts['excess']:.1%}"
-        compared = f"; {known['kind']} {_decibels(known['psnr'])}{excess}"
-    _out.print(
-        f"{facts['method']} on {facts['display']}: {_decibels(facts['psnr'])} (interior "
-        f"{_decibels(facts['psnr_interior'])}) after {facts['iterations']} iterations, "
-        f"{facts['seconds']:.2f} s{compared}",
-        soft_wrap=True,
-    )
-    _out.print(
-        f"{len(facts['layers'])} layers, {facts['bits']} bit, are in {out / 'layers'}",
-        soft_wrap=True,
-    )
-
-
-def _decibels(value: float | None) -> str:
-    return "exact" if value is None else f"{value:.2f} dB"
-
-
-def _print_tables(rows: list[Row]) -> None:
-    for title, lines in tables(rows):
-        _out.print(title, style="bold", soft_wrap=True)
-        _print_lines(lines)
-        _out.print()
-
-
-def _print_lines(lines: list[list[str]]) -> None:
-    grid = Table(*lines[0], box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for line in lines[1:]:
-        grid.add_row(*line)
-    _out.print(grid)

@@ -66,9 +66,17 @@ def figures(layers: Tensor, field: LightField, display: Display) -> Figures:
         ssim=ssim(views, field.views),
         psnr_view_min=min(by_view),
         psnr_view_max=max(by_view),
-        psnr_view_std=statistics.pstdev(by_view),
+        psnr_view_std=_spread(by_view),
         layers=layer_figures(layers),
     )
+
+
+def _spread(decibels: Sequence[float]) -> float:
+    """Return the standard deviation; 0 if all views are perfect, infinite if only some are."""
+    perfect = [math.isinf(value) for value in decibels]
+    if any(perfect):
+        return 0.0 if all(perfect) else math.inf
+    return statistics.pstdev(decibels)
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,13 @@ import json
 import math
 import multiprocessing
 import resource
+import signal
 import statistics
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -204,8 +207,38 @@ class _Job:
 
 def _in_own_process(job: _Job) -> Row:
     context = multiprocessing.get_context("spawn")
-    with context.Pool(1) as pool:
-        return pool.apply(_measure, (replace(job, own_process=True),))
+    answers, answer = context.Pipe(duplex=False)
+    job = replace(job, own_process=True)
+    process = context.Process(target=_send, args=(answer, job), daemon=True)
+    with _interrupts_held_back():  # the process inherits this, so that only we answer Ctrl-C
+        process.start()
+    answer.close()
+    try:
+        found = answers.recv()
+    except EOFError:
+        raise MemoryError from None  # nothing else kills a process silently
+    finally:
+        process.kill()
+        process.join()
+    if isinstance(found, Exception):
+        raise found
+    return found
+
+
+def _send(answer: Connection, job: _Job) -> None:
+    try:
+        answer.send(_measure(job))
+    except Exception as error:
+        answer.send(error)
+
+
+@contextmanager
+def _interrupts_held_back() -> Iterator[None]:
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _measure(job: _Job) -> Row:

@@ -23,7 +23,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.io.safe_output import whole_file
-from layerfield.metrics import decibels
+from layerfield.metrics import EXACT, decibels
 from layerfield.solve import Problem, Solver, solve
 from layerfield.solvers.fourier_admm import FourierAdmm
 from layerfield.solvers.fourier_start import FourierStart
@@ -31,7 +31,7 @@ from layerfield.solvers.gradient import Gradient
 from layerfield.solvers.sweeps import Sweeps
 
 GAP_DB = 0.01  # an optimum is certified to this
-_REVISION = 3  # of this file's algorithm; part of the cache key
+_REVISION = 4  # of this file's algorithm; part of the cache key
 _MOST_ROUNDS = 60
 _ROUND = 25  # iterations between two looks at the error
 _STAGNATION = 2e-4  # relative gain of a round below which a run has stagnated
@@ -43,7 +43,7 @@ class Reference:
 
     Args:
         mean_square_error: over the whole views.
-        kind: "optimum" or "best known".
+        kind: "optimum" (certified to 0.01 dB, or exact) or "best known".
         method: what reached it.
         gap_db: the optimum is at most this much better; None where no bound is known.
     """
@@ -87,18 +87,18 @@ def cached_reference(problem: Problem) -> Reference | None:
     """Return the stored reference of a problem, or None."""
     try:
         return Reference(**json.loads(_cache_file(problem).read_text("utf-8")))
-    except (OSError, ValueError, TypeError):
+    except (OSError, ValueError, TypeError, RuntimeError):  # RuntimeError: there is no home
         return None
 
 
 def store_reference(problem: Problem, found: Reference) -> None:
     """Store a reference for later runs; a cache that cannot be written is no error."""
-    path = _cache_file(problem)
     try:
+        path = _cache_file(problem)
         path.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(path, force=True) as temporary:
             temporary.write_text(json.dumps(asdict(found)), encoding="utf-8")
-    except (OSError, ValueError):
+    except (OSError, ValueError, RuntimeError):
         return
 
 
@@ -137,16 +137,23 @@ def _optimum(problem: Problem, tick: Callable[[str], None] | None) -> Reference:
     run = solve(problem, solver, iterations=4 * _ROUND)
     exact = replace(problem, target=problem.target.double())
     iterations, gap, init = run.iterations, math.inf, run.layers.double()
+    error = math.inf
     for _ in range(_MOST_ROUNDS):
         if tick is not None:
             tick(f"optimum, gap {gap:.3f} dB")
         run = solve(exact, solver, iterations=_ROUND, init=init)
         iterations, init = iterations + run.iterations, run
         gap = optimality_gap(exact, run.layers, solver.unbounded(exact, run.state))
-        if gap <= GAP_DB:
+        error = exact.mean_square_error(run.layers)
+        if gap <= GAP_DB or error <= EXACT:
             break
-    method = f"fourier-admm, {iterations} iterations"
-    return Reference(exact.mean_square_error(run.layers), "optimum", method, gap)
+    certified = gap <= GAP_DB or error <= EXACT
+    return Reference(
+        error,
+        "optimum" if certified else "best known",
+        f"fourier-admm, {iterations} iterations",
+        gap if math.isfinite(gap) else None,
+    )
 
 
 def _best_known(problem: Problem, tick: Callable[[str], None] | None) -> Reference:

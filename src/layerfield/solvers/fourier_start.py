@@ -23,7 +23,7 @@ class FourierStart:
     """
 
     direct: FourierAdmm = field(default_factory=FourierAdmm)
-    direct_iterations: int = 10
+    direct_iterations: int = 20
     refine: Sweeps = field(default_factory=Sweeps)
 
     def init(self, problem: Problem, start: SweepsState | Tensor | None) -> SweepsState:

@@ -57,10 +57,11 @@ def test_one_version_everywhere():
 def test_lower_rooms_do_not_import_higher_ones():
     """Data flows one way; a room is imported only by rooms listed after it."""
     order = [
-        "version", "nearest", "geometry", "light_field", "projection", "gram", "links",
-        "composition", "display_spec", "display", "panels", "solve", "solvers", "metrics",
-        "provenance", "scenes", "io", "plane_sweep", "disparity", "synthesizer", "reference",
-        "evaluate", "result", "report", "demo", "terminal", "cli", "__main__",
+        "version", "nearest", "toml_model", "geometry", "light_field", "projection", "gram",
+        "links", "composition", "display_spec", "display", "panels", "solve", "solvers",
+        "networks", "metrics", "provenance", "scenes", "io", "plane_sweep", "disparity", "weights",
+        "methods", "synthesizer", "reference", "evaluate", "result", "training", "report", "demo",
+        "terminal", "process", "cli_options", "refusals", "cli", "__main__",
     ]  # fmt: skip
     source = ROOT / "src" / "layerfield"
     for file in source.rglob("*.py"):
@@ -80,6 +81,7 @@ def test_a_built_wheel_installs_and_runs(tmp_path):
     (wheel,) = tmp_path.glob("layerfield-*.whl")
     names = zipfile.ZipFile(wheel).namelist()
     assert "layerfield/displays/additive-3.toml" in names
+    assert "layerfield/trained/registry.json" in names
     assert not [name for name in names if name.startswith(("tests", "benchmarks"))]
     venv.create(tmp_path / "venv", with_pip=True, system_site_packages=False)
     python = tmp_path / "venv" / "bin" / "python"

@@ -1,21 +1,25 @@
 """The command line: options in, one call each, tables out. One line and status 2 for errors."""
 
-import inspect
-import io
-import re
-import signal
-import sys
-from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import fields, replace
-from functools import wraps
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated
 
-import torch
 import typer
 
+from layerfield.cli_options import (
+    Bits,
+    Device,
+    DisplayName,
+    Field,
+    Force,
+    Iterations,
+    Out,
+    recorded,
+    with_field_options,
+)
+from layerfield.cli_training import train_command
 from layerfield.demo import run_demo
 from layerfield.disparity import estimate_disparity
 from layerfield.display import Display, preset_names
@@ -31,11 +35,19 @@ from layerfield.io import (
     whole_file,
     write_contact_sheet,
 )
-from layerfield.io.images import SUFFIXES
 from layerfield.light_field import LightField
-from layerfield.nearest import did_you_mean
+from layerfield.methods import CHAIN_ITERATIONS
 from layerfield.panels import largest_code
+from layerfield.process import run
 from layerfield.reference import cached_reference, reference
+from layerfield.refusals import (
+    keep_inputs,
+    own_file,
+    refuse_device,
+    refuse_repeats,
+    refuse_unknown,
+    told_apart,
+)
 from layerfield.result import (
     display_of,
     make_result,
@@ -48,8 +60,9 @@ from layerfield.result import (
 )
 from layerfield.solvers.rounding import ROUNDINGS
 from layerfield.synthesizer import METHODS, find_method, pose, synthesize
-from layerfield.terminal import complain, print_lines, print_tables, report, say, status
+from layerfield.terminal import print_lines, print_tables, report, say, status
 from layerfield.version import __version__
+from layerfield.weights import shipped
 
 app = typer.Typer(
     name="layerfield",
@@ -59,57 +72,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 _SMALLEST = 11  # pixels of a view, the window of SSIM
-_DEVICES = ("cpu", "cuda")
-_NO_MEMORY = re.compile("out of memory|allocate memory")  # of PyTorch's RuntimeErrors
-_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-
-Field = Annotated[str, typer.Argument(help="folder of views, picture, .npy, .npz or .h5")]
-Out = Annotated[Path, typer.Option("--out", help="folder to make")]
-Force = Annotated[bool, typer.Option("--force", help="replace an earlier result")]
-Bits = Annotated[int, typer.Option("--bits", help="of the images that are written: 8 or 16")]
-DisplayName = Annotated[str, typer.Option("--display", help="a preset or a TOML file")]
-Device = Annotated[str, typer.Option("--device", help="cpu or cuda")]
-Iterations = Annotated[
-    int | None, typer.Option("--iterations", min=0, help="the method's own if not given")
-]
-
-_FIELD_OPTIONS = {
-    "grid": "rows x columns of the stored views, as 5x5",
-    "order": "corner of the first view and what runs first: tl-row, bl-row, tr-column ...",
-    "step": "take every n-th view in both directions",
-    "views": "take the central views, as 5x5",
-    "shift": "subtract this from every disparity, pixels per view",
-    "scale": "resize every view by this factor",
-    "crop": "WxH (central) or WxH+X+Y, pixels",
-    "quilt": "the picture is a quilt: CxR or CxRaA",
-    "lenslet": "the picture is seen through lenslets of this many pixels",
-}
-
-
-def _with_field_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command the options that say how to read a light field, gathered as `options`."""
-
-    @wraps(command)
-    def wrapper(*args: Any, **values: Any) -> None:
-        chosen = {name: values.pop(name) for name in _FIELD_OPTIONS}
-        command(*args, options=FieldOptions.parse(**chosen), **values)
-
-    own = [p for p in inspect.signature(command).parameters.values() if p.name != "options"]
-    shared = [
-        inspect.Parameter(
-            name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=None,
-            annotation=Annotated[
-                str | None, typer.Option(f"--{name}", help=text, rich_help_panel="Light field")
-            ],
-        )
-        for name, text in _FIELD_OPTIONS.items()
-    ]
-    keyword = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in own]
-    wrapper.__signature__ = inspect.Signature([*keyword, *shared])  # pyright: ignore[reportAttributeAccessIssue]
-    wrapper.__annotations__ = {p.name: p.annotation for p in [*keyword, *shared]}
-    return wrapper
+_METHOD = "a name that `methods` lists, FILE.safetensors, or NETWORK+SOLVER"
+_METHODS = "such names, as a,b:100 (iterations),c+b:3"
 
 
 @app.callback(invoke_without_command=True)
@@ -129,7 +93,7 @@ def demo(out: Out = Path("demo"), force: Force = False) -> None:
 
 
 @app.command()
-@_with_field_options
+@with_field_options
 def info(
     field: Field,
     options: FieldOptions,
@@ -140,7 +104,7 @@ def info(
 ) -> None:
     """Say what a light field holds, and draw a contact sheet of its views."""
     path = contact or Path(f"{field_name(field)}-views.png")
-    _keep_inputs(path, field)
+    keep_inputs(path, field)
     with whole_file(path, force=force or is_contact_sheet(path)) as temporary, status() as tick:
         tick("reading")
         loaded = load_light_field(field, options)
@@ -158,13 +122,13 @@ def info(
 
 
 @app.command()
-@_with_field_options
+@with_field_options
 def synth(
     field: Field,
     display: DisplayName,
     out: Out,
     options: FieldOptions,
-    method: Annotated[str, typer.Option("--method", help="see `methods`")] = "fourier-admm",
+    method: Annotated[str, typer.Option("--method", help=_METHOD)] = "fourier-admm",
     iterations: Iterations = None,
     bits: Bits = 8,
     rounding: Annotated[
@@ -184,22 +148,25 @@ def synth(
 ) -> None:
     """Make the layer images that show a light field on a display."""
     # What can be refused is refused before the work, not after it.
-    target, count = Display.load(display), find_method(method).iterations
-    count = count if iterations is None else iterations
+    target, chosen = Display.load(display), find_method(method)
+    count = chosen.count(iterations)
     largest_code(bits)
-    _refuse_unknown("rounding", rounding, ROUNDINGS)
+    refuse_unknown("rounding", rounding, ROUNDINGS)
+    refuse_device(device)
     refuse_existing(out, force=force)
-    _keep_inputs(out, field, _own_file(display))
-    with status(total=count) as tick:
+    keep_inputs(out, field, own_file(display), chosen.file)
+    chosen.refuse_unserved(target)
+    with status(total=count or None) as tick:
         tick("reading")
-        loaded = _load(field, options, device)
+        loaded = _load(field, options)
+        loaded = replace(loaded, views=loaded.views.to(device))
         solution = synthesize(
             loaded,
             target,
             method=method,
             iterations=count,
             history=history,
-            callback=lambda done, _: tick(method, done),
+            callback=lambda done, _: tick(chosen.title, done),
         )
         problem = pose(loaded, target)
         known = reference(problem, tick=tick) if compare else cached_reference(problem)
@@ -208,11 +175,11 @@ def synth(
             loaded,
             target,
             solution,
-            method=method,
+            method=chosen.title,
             bits=bits,
             rounding=rounding,
             reference=known,
-            options=_recorded(options),
+            options=recorded(options),
         )
         write_result(out, result, simulate=simulate_views, force=force)
     report(out, loaded, result.facts)
@@ -237,7 +204,7 @@ def simulate_command(
     """Write the views that viewers of these layers see."""
     largest_code(bits)
     refuse_existing(out, force=force)
-    _keep_inputs(out, folder, _own_file(display))
+    keep_inputs(out, folder, own_file(display))
     layers, shown_on = read_layers(folder), display_of(folder)
     if display is not None:
         shown_on = Display.load(display)
@@ -254,11 +221,11 @@ def simulate_command(
 
 
 @app.command(name="evaluate")
-@_with_field_options
+@with_field_options
 def evaluate_command(
     paths: Annotated[list[str], typer.Argument(metavar="FIELD...", help="light fields")],
     names: Annotated[list[str], typer.Option("--display", help="preset or file; repeatable")],
-    wanted: Annotated[str, typer.Option("--methods", help="names, as a,b:100 (iterations)")],
+    wanted: Annotated[str, typer.Option("--methods", help=_METHODS)],
     options: FieldOptions,
     iterations: Iterations = None,
     bits: Bits = 16,
@@ -269,15 +236,17 @@ def evaluate_command(
     chosen = parse_methods(wanted, iterations)
     largest_code(bits)
     models = [Display.load(name) for name in names]
-    _refuse_repeats("displays", [model.name for model in models])
+    refuse_repeats("displays", [model.name for model in models])
+    found = [find_method(name) for name, _ in chosen]
+    if json is not None:
+        keep_inputs(json, *paths, *map(own_file, names), *(method.file for method in found))
     for model in models:
-        _refuse_unserved(model, [name for name, _ in chosen])
-    loaded = _told_apart([_load(field, options, "cpu") for field in paths], paths)
+        for method in found:
+            method.refuse_unserved(model)
+    loaded = told_apart([_load(field, options) for field in paths], paths)
     for field in loaded:
         for model in models:
             pose(field, model)
-    if json is not None:
-        _keep_inputs(json, *paths, *map(_own_file, names))
     with _file_or_nothing(json, force) as path:
         with status(total=len(loaded) * len(models) * (len(chosen) + 1)) as tick:
             rows = evaluate(loaded, models, chosen, bits=bits, isolate=True, tick=tick)
@@ -306,110 +275,33 @@ def methods() -> None:
         links = ", ".join(method.links)
         lines.append([method.name, str(method.iterations), links, method.summary])
     print_lines(lines)
+    say("FILE.safetensors is the network of a weight file; NETWORK+SOLVER is a network followed by")
+    say(f"{CHAIN_ITERATIONS} iterations of a solver, as unet+fourier-admm")
+
+
+app.command(name="train")(train_command)
+
+
+@app.command(name="weights")
+def weights_command() -> None:
+    """List the trained networks that come with the package, with their scores."""
+    entries = shipped()
+    if not entries:
+        say("no weights are shipped; train a network with layerfield train RECIPE.toml")
+        return
+    lines = [["name", "network", "display", "MB", "scores", "recipe"]]
+    for entry in entries:
+        display, size = entry.trained_for.name, f"{entry.megabytes:.1f}"
+        lines.append([entry.name, entry.network, display, size, entry.scores, entry.recipe])
+    print_lines(lines)
 
 
 def main() -> None:
-    """Run the command line; anything wrong is one line on standard error and exit status 2."""
-    _prepare()
-    try:
-        status = app(standalone_mode=False)
-    except (_Interrupted, typer.Abort):
-        _fail("interrupted; nothing is half-written")
-    except (ValueError, OSError) as error:
-        _fail(str(error))
-    except Exception as error:
-        _fail(_expected(error))
-    sys.exit(status)
+    """Run the command line."""
+    run(app)
 
 
-class _Interrupted(BaseException):
-    """A signal asked to stop. Typer would turn a KeyboardInterrupt into an exit of its own."""
-
-
-def _prepare() -> None:
-    for number in _SIGNALS:
-        if signal.getsignal(number) is not signal.SIG_IGN:  # as under nohup
-            signal.signal(number, _interrupt)
-    if isinstance(sys.stdout, io.TextIOWrapper):  # file names may hold what it cannot print
-        sys.stdout.reconfigure(errors="backslashreplace")
-
-
-def _interrupt(*_: object) -> NoReturn:
-    for number in _SIGNALS:  # a second one must not disturb the cleaning up
-        signal.signal(number, signal.SIG_IGN)
-    raise _Interrupted
-
-
-def _expected(error: Exception) -> str:
-    """Return the line for errors that are not ValueErrors; raise those that nobody expects."""
-    if isinstance(error, MemoryError) or _NO_MEMORY.search(str(error)):
-        return "out of memory; take fewer or smaller views (--views, --step, --scale, --crop)"
-    # Usage errors of click, whichever copy of click this typer brings along.
-    usage = getattr(error, "format_message", None)
-    if usage is None:
-        raise error
-    return usage() or "no command given; see layerfield --help"
-
-
-def _fail(message: str) -> NoReturn:
-    line = " ".join(message.split())
-    complain(f"layerfield: {line}")
-    sys.exit(2)
-
-
-def _refuse_unknown(what: str, name: str, known: Sequence[str]) -> None:
-    if name not in known:
-        raise ValueError(f"unknown {what} '{name}'{did_you_mean(name, known)}")
-
-
-def _refuse_repeats(what: str, names: list[str]) -> None:
-    for name, count in Counter(names).items():
-        if count > 1:
-            raise ValueError(
-                f"found {count} {what} called '{name}'; give each once, by a name of its own"
-            )
-
-
-def _refuse_unserved(display: Display, names: list[str]) -> None:
-    for name in names:
-        links = find_method(name).links
-        if display.link.name not in links:
-            raise ValueError(
-                f"method '{name}' serves {' and '.join(links)} displays, '{display.name}' is "
-                f"{display.link.name}; leave one of them out"
-            )
-
-
-def _keep_inputs(out: Path, *inputs: str | Path | None) -> None:
-    """Refuse to replace what is read, even by force, or to put a picture among the views."""
-    for given in (Path(name) for name in inputs if name and Path(name).exists()):
-        source, place = given.resolve(), out.resolve()
-        among = place.parent == source and place.suffix.lower() in SUFFIXES
-        if among or (out.exists() and source.is_relative_to(place)):
-            raise ValueError(f"{out} is, holds or lies among the input {given}; give another name")
-
-
-def _own_file(display: str | None) -> str | None:
-    return None if display in preset_names() else display
-
-
-def _told_apart(loaded: list[LightField], paths: list[str]) -> list[LightField]:
-    """Name light fields by their folder, too, where their names are the same."""
-    names = Counter(field.name for field in loaded)
-    apart = [
-        replace(field, name=f"{Path(path).resolve().parent.name}/{field.name}")
-        if names[field.name] > 1
-        else field
-        for field, path in zip(loaded, paths, strict=True)
-    ]
-    _refuse_repeats("light fields", [field.name for field in apart])
-    return apart
-
-
-def _load(field: str, options: FieldOptions, device: str) -> LightField:
-    _refuse_unknown("device", device, _DEVICES)
-    if device == "cuda" and not torch.cuda.is_available():
-        raise ValueError("there is no CUDA device here; use --device cpu")
+def _load(field: str, options: FieldOptions) -> LightField:
     loaded = load_light_field(field, options)
     if min(loaded.size) < _SMALLEST:
         height, width = loaded.size
@@ -417,13 +309,7 @@ def _load(field: str, options: FieldOptions, device: str) -> LightField:
             f"the views of '{loaded.name}' are {width}x{height} px, expected at least "
             f"{_SMALLEST}x{_SMALLEST}; take larger ones"
         )
-    return replace(loaded, views=loaded.views.to(device))
-
-
-def _recorded(options: FieldOptions) -> dict[str, Any]:
-    """Return the options that say what was read, where they are not the default."""
-    changed = (f.name for f in fields(options) if getattr(options, f.name) != f.default)
-    return {"options": {name: str(getattr(options, name)) for name in changed}}
+    return loaded
 
 
 @contextmanager

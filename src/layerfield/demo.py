@@ -16,8 +16,9 @@ from layerfield.result import Result, make_result, write_result, write_views
 from layerfield.scenes import procedural_light_field
 from layerfield.solvers.rounding import panel_codes
 from layerfield.synthesizer import pose, synthesize
+from layerfield.weights import shipped_networks
 
-_METHODS = {
+_SOLVERS = {
     "additive-3": [("fourier-admm", 10), ("nmf", 10), ("nmf", 100), ("sart", 10)],
     "multiplicative-3": [("fourier-admm", 2), ("fourier-admm", 10), ("sweeps", 10)],
 }
@@ -49,9 +50,9 @@ def run_demo(
     with whole_directory(folder, force=force) as temporary:
         field = sample_field()
         strips: list[Strip] = []
-        for name, methods in _METHODS.items():
+        for name in _SOLVERS:
             display = Display.load(name)
-            rows += evaluate([field], [display], methods, tick=tick)
+            rows += evaluate([field], [display], _methods(display), tick=tick)
             result = _solve(field, display)
             write_result(temporary / name, result, simulate=True)
             strips += _strips(field, display, result)
@@ -59,6 +60,11 @@ def run_demo(
         write_rows(temporary / "result.json", rows)
         comparison_picture(strips).save(temporary / "comparison.png")
     return rows
+
+
+def _methods(display: Display) -> list[tuple[str, int]]:
+    """Solvers and their iterations, and the networks that have weights for the display."""
+    return _SOLVERS[display.name] + [(name, 0) for name in shipped_networks(display)]
 
 
 def _solve(field: LightField, display: Display) -> Result:
@@ -72,13 +78,13 @@ def _strips(field: LightField, display: Display, result: Result) -> list[Strip]:
     target = field.views[corner]
     shown = display(dequantise(result.codes).unsqueeze(-5))[corner]
     others = []
-    for method, iterations in _METHODS[display.name]:
+    for method, iterations in _methods(display):
         if (method, iterations) == _SHOWN:
             continue
         solution = synthesize(field, display, method=method, iterations=iterations)
         codes = panel_codes(pose(field, display), solution.layers, bits=8)
         view = display(dequantise(codes))[corner]
-        others.append(_error_tile(view, target, f"{method}, {iterations} iterations"))
+        others.append(_error_tile(view, target, _heading(method, iterations)))
     layers = [
         Tile(layer, f"layer {k}" + (" (nearest)" if k == 0 else ""), _disparity(display, k))
         for k, layer in enumerate(dequantise(result.codes))
@@ -88,9 +94,13 @@ def _strips(field: LightField, display: Display, result: Result) -> list[Strip]:
         Strip(f"{display.name}: {display.spec.description}", [*views, *layers]),
         Strip(
             f"error in that view, {ERROR_GAIN} times, white is none",
-            [_error_tile(shown, target, "{}, {} iterations".format(*_SHOWN)), *others],
+            [_error_tile(shown, target, _heading(*_SHOWN)), *others],
         ),
     ]
+
+
+def _heading(method: str, iterations: int) -> str:
+    return f"{method}, {iterations} iterations" if iterations else method
 
 
 def _error_tile(view, target, heading: str) -> Tile:

@@ -2,15 +2,13 @@
 
 import json
 import math
-import reprlib
-import tomllib
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from layerfield.geometry import Geometry, Point, grid_points
-from layerfield.nearest import did_you_mean
+from layerfield.toml_model import parse_toml, read_toml_text, validated
 
 # Strict: no text or truth value passes for a number.
 Count = Annotated[int, Field(strict=True, ge=1)]
@@ -142,15 +140,9 @@ def parse_spec(text: str, source: str) -> Spec:
         ValueError: not TOML, an unknown or missing key, or values that make no display; one line
             that names the source, the key and the remedy.
     """
-    try:
-        data = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # also of numbers that are too long
-        raise ValueError(f"{source} is not valid TOML: {error}") from None
+    data = parse_toml(text, source)
     model = PhysicalSpec if any(key in data for key in _PHYSICAL_KEYS) else DisparitySpec
-    try:
-        return model.model_validate(data)
-    except ValidationError as error:
-        raise ValueError(f"{source}: {_one_line(error, model)}") from None
+    return validated(model, data, source)
 
 
 def format_spec(spec: Spec) -> str:
@@ -161,33 +153,10 @@ def format_spec(spec: Spec) -> str:
 
 def read_spec(path: Path) -> Spec:
     """Read a display from a TOML file."""
-    try:
-        return parse_spec(path.read_text(encoding="utf-8"), str(path))
-    except UnicodeDecodeError:
-        raise ValueError(f"{path} is not a text file; expected a display in TOML") from None
-    except OSError as error:
-        raise ValueError(f"cannot read the display {path}: {error.strerror}") from None
+    return parse_spec(read_toml_text(path, "a display"), str(path))
 
 
 _PHYSICAL_KEYS = set(PhysicalSpec.model_fields) - set(DisparitySpec.model_fields)
-
-
-def _one_line(error: ValidationError, model: type[BaseModel]) -> str:
-    # A mistyped key is also a missing one; the typo says more.
-    first = min(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
-    key, *inside = first["loc"] or ("",)
-    match first["type"]:
-        case "extra_forbidden":
-            return f"unknown key '{key}'{did_you_mean(str(key), model.model_fields)}"
-        case "missing" if not inside:
-            return f"the key '{key}' is missing"
-        case "missing":
-            return f"'{key}' holds too few numbers"
-        case "value_error":
-            return first["msg"].removeprefix("Value error, ")
-    place = "".join(f"[{part}]" for part in inside if isinstance(part, int))
-    expected = first["msg"].lower().replace("tuple", "list")
-    return f"'{key}{place}' is {reprlib.repr(first['input'])}; {expected}"
 
 
 def _toml(value: object) -> str:

@@ -1,5 +1,6 @@
 """Synthesizers x light fields x displays -> rows of figures, the reference beside every method."""
 
+import dataclasses
 import json
 import math
 import multiprocessing
@@ -19,6 +20,7 @@ from torch import Tensor
 from layerfield.display import Display
 from layerfield.display_spec import Spec
 from layerfield.light_field import LightField
+from layerfield.methods import NetworkMethod
 from layerfield.metrics import (
     LayerFigures,
     excess,
@@ -33,7 +35,8 @@ from layerfield.panels import dequantise
 from layerfield.provenance import provenance
 from layerfield.reference import Reference, reference, store_reference
 from layerfield.solvers.rounding import panel_codes
-from layerfield.synthesizer import find_method, pose, synthesize
+from layerfield.synthesizer import find_method, pose, spelled, synthesize
+from layerfield.weights import WEIGHT_SUFFIX
 
 
 @dataclass(frozen=True)
@@ -96,7 +99,13 @@ class Row:
     mean_square_error: float
     figures: Figures
     made_with: dict[str, Any]
+    details: dict[str, float | str] = dataclasses.field(default_factory=dict)
     reference: Reference | None = None
+
+    @property
+    def label(self) -> str:
+        """The method and its iterations."""
+        return spelled(self.method, self.iterations)
 
     def as_record(self) -> dict[str, Any]:
         """Return the row as plain data for JSON; figures side by side with the rest."""
@@ -125,18 +134,25 @@ def parse_methods(text: str, iterations: int | None = None) -> list[tuple[str, i
     Raises:
         ValueError: an unknown method or not a number of iterations.
 
-    >>> parse_methods("nmf:50,fourier-admm")
-    [('nmf', 50), ('fourier-admm', 10)]
+    >>> parse_methods("nmf:50,fourier-admm,unet")
+    [('nmf', 50), ('fourier-admm', 10), ('unet', 0)]
     """
     chosen = []
-    for entry in text.split(","):
-        name, colon, count = entry.strip().partition(":")
+    for entry in map(str.strip, text.split(",")):
+        name, colon, count = _parted(entry)
         method = find_method(name)
         if colon and not count.isdecimal():
-            raise ValueError(f"found '{entry.strip()}', expected name:iterations, as {name}:10")
-        default = method.iterations if iterations is None else iterations
-        chosen.append((name, int(count) if colon else default))
+            raise ValueError(f"found '{entry}', expected name:iterations, as {name}:10")
+        general = None if isinstance(method, NetworkMethod) else iterations
+        chosen.append((name, method.count(int(count) if colon else general)))
     return chosen
+
+
+def _parted(entry: str) -> tuple[str, str, str]:
+    """Part at the last colon, unless that is in the path of a weight file."""
+    name, colon, count = entry.rpartition(":")
+    in_path = "/" in count or count.endswith(WEIGHT_SUFFIX)
+    return (name, colon, count) if colon and not in_path else (entry, "", "")
 
 
 def evaluate(
@@ -181,14 +197,14 @@ def _compare(
     rows = []
     for name, iterations in methods:
         if tick is not None:
-            tick(f"{field.name}, {display.name}: {name}:{iterations}")
+            tick(f"{field.name}, {display.name}: {spelled(name, iterations)}")
         job = _Job(field.views, field.grid, field.name, display.spec, name, iterations, bits)
         rows.append(_in_own_process(job) if isolate else _measure(job))
     if tick is not None:
         tick(f"{field.name}, {display.name}: reference")
     found = reference(problem, tick=tick)
     for row in rows:
-        found = found.improved_by(row.mean_square_error, f"{row.method}:{row.iterations}")
+        found = found.improved_by(row.mean_square_error, row.label)
     store_reference(problem, found)
     return [replace(row, reference=found) for row in rows]
 
@@ -244,7 +260,7 @@ def _interrupts_held_back() -> Iterator[None]:
 def _measure(job: _Job) -> Row:
     field, display = LightField(job.views, job.grid, name=job.field), Display(job.spec)
     if job.own_process:
-        _warm_up(field, display, job.method)
+        _warm_up(field, display, job)
     solution = synthesize(field, display, method=job.method, iterations=job.iterations)
     peak = _peak_megabytes() if job.own_process else None
     codes = panel_codes(pose(field, display), solution.layers, bits=job.bits)
@@ -252,7 +268,7 @@ def _measure(job: _Job) -> Row:
     return Row(
         field=field.name,
         display=display.name,
-        method=job.method,
+        method=find_method(job.method).title,
         iterations=solution.iterations,
         seconds=solution.seconds,
         peak_mb=peak,
@@ -260,13 +276,14 @@ def _measure(job: _Job) -> Row:
         mean_square_error=mean_square_error(display(layers), field.views),
         figures=figures(layers, field, display),
         made_with=provenance(field.views.device),
+        details=dict(solution.details),
     )
 
 
-def _warm_up(field: LightField, display: Display, method: str) -> None:
+def _warm_up(field: LightField, display: Display, job: _Job) -> None:
     """Start threads and libraries on a corner of the field, so that the clock does not see it."""
     corner = replace(field, views=field.views[..., :32, :32].contiguous())
-    synthesize(corner, display, method=method, iterations=1)
+    synthesize(corner, display, method=job.method, iterations=min(job.iterations, 1))
 
 
 def _peak_megabytes() -> float:
@@ -308,7 +325,7 @@ def _lines(rows: Sequence[Row]) -> list[list[str]]:
         found, reached = row.figures, row.mean_square_error
         lines.append(
             [
-                f"{row.method}:{row.iterations}",
+                row.label,
                 f"{found.psnr:.2f}",
                 f"{found.psnr_interior:.2f}",
                 f"{excess(reached, row.reference.mean_square_error):.1%}" if row.reference else "",

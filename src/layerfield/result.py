@@ -82,7 +82,8 @@ def make_result(
         "status": solution.status,
         "seconds": solution.seconds,
         "history": [progress._asdict() for progress in solution.history],
-        "seed": None,  # nothing in the solvers is random
+        "details": dict(solution.details),
+        "seed": None,  # nothing here is random
         "field": {"name": field.name, "grid": field.grid, "size": field.size} | (options or {}),
         "display": display.name,
         "bits": bits,

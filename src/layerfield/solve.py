@@ -6,7 +6,7 @@ passed along. An unrolled network calls `step` itself.
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -165,6 +165,7 @@ class Solution:
         history: error after every iteration, if it was asked for.
         solver: what made it, and
         state: its last state, for a warm start.
+        details: what else is worth recording, by name: plain numbers and texts.
     """
 
     layers: Float[Tensor, "*batch subframe layer c ly lx"]
@@ -174,6 +175,7 @@ class Solution:
     history: tuple[Progress, ...] = ()
     solver: Solver | None = None
     state: State = field(default=None, repr=False)
+    details: Mapping[str, float | str] = field(default_factory=dict)
 
 
 def solve(
@@ -204,7 +206,7 @@ def solve(
     """
     if iterations < 0:
         raise ValueError(f"found {iterations} iterations, expected 0 or more")
-    clock = _Clock(problem.target.device)
+    clock = Clock(problem.target.device)
     records: list[Progress] = []
     with torch.no_grad(), clock:
         state = solver.init(problem, _start(problem, solver, init))
@@ -249,7 +251,7 @@ def _change(before: Tensor | None, after: Tensor) -> float:
     return math.inf if before is None else (after - before).abs().max().item()
 
 
-class _Clock:
+class Clock:
     """Adds up the time spent inside it; waits for the accelerator where there is one."""
 
     def __init__(self, device: torch.device) -> None:

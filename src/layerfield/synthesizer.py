@@ -1,23 +1,29 @@
-"""Method name to synthesizer: one call for every way to make layers from a light field."""
+"""Method name to synthesizer: one call for every way to make layers from a light field.
+
+NAME                 a solver, or a network with the weights that come with the package
+FILE.safetensors     the network of a weight file
+NETWORK+SOLVER       a network, then iterations of a solver that start from its layers
+"""
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from torch import Tensor
 
 from layerfield.display import Display
 from layerfield.light_field import LightField
-from layerfield.links import LINKS, Link
+from layerfield.links import LINKS
+from layerfield.methods import ChainMethod, Method, NetworkMethod, RunOptions, SolverMethod
 from layerfield.nearest import did_you_mean
-from layerfield.solve import Problem, Solution, Solver, State, solve
+from layerfield.solve import Problem, Solution, State
 from layerfield.solvers.fourier_admm import FourierAdmm
 from layerfield.solvers.fourier_start import FourierStart
 from layerfield.solvers.gradient import Gradient
 from layerfield.solvers.nmf import Nmf
 from layerfield.solvers.sart import Sart
 from layerfield.solvers.sweeps import Sweeps
+from layerfield.weights import PICKLE_SUFFIXES, WEIGHT_SUFFIX
 
 
 @runtime_checkable
@@ -29,98 +35,86 @@ class Synthesizer(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class Method:
-    """One entry of the list of methods.
-
-    Args:
-        name: what the command line calls it.
-        summary: one sentence.
-        iterations: how many it makes unless told otherwise.
-        links: the displays it serves.
-        make: its solver for a link.
-    """
-
-    name: str
-    summary: str
-    iterations: int
-    links: tuple[str, ...]
-    make: Callable[[Link], Solver]
-
-
 _ADDITIVE = ("additive",)
 _ANY = tuple(LINKS)
 
-_METHODS = (
-    Method(
+_SOLVERS = (
+    SolverMethod(
         "fourier-admm",
         "direct solver in the Fourier domain; on other than additive displays followed by sweeps",
         10,
         _ANY,
         lambda link: FourierAdmm() if link.is_sum else FourierStart(),
     ),
-    Method("gradient", "accelerated projected gradients", 100, _ANY, lambda _: Gradient()),
-    Method(
+    SolverMethod("gradient", "accelerated projected gradients", 100, _ANY, lambda _: Gradient()),
+    SolverMethod(
         "nmf", "multiplicative updates of non-negative factors", 100, _ADDITIVE, lambda _: Nmf()
     ),
-    Method("sart", "algebraic reconstruction, view by view", 50, _ADDITIVE, lambda _: Sart()),
-    Method("sweeps", "accelerated least squares, layer by layer", 10, _ANY, lambda _: Sweeps()),
+    SolverMethod("sart", "algebraic reconstruction, view by view", 50, _ADDITIVE, lambda _: Sart()),
+    SolverMethod(
+        "sweeps", "accelerated least squares, layer by layer", 10, _ANY, lambda _: Sweeps()
+    ),
 )
-METHODS: dict[str, Method] = {method.name: method for method in _METHODS}
-
-
-@dataclass(frozen=True)
-class SolverSynthesizer:
-    """A solver with everything said but the light field and the display.
-
-    Args:
-        method: which solver.
-        iterations: the most it makes.
-        weights: of the views; equal if not given.
-        tolerance: stop when no pixel changes by more; 0: never.
-        time_limit: seconds after which no iteration is started.
-        callback: called with the iteration and the state after each.
-        history: record the error of every iteration, outside the clock.
-    """
-
-    method: Method
-    iterations: int
-    weights: Sequence[float] | None = None
-    tolerance: float = 0.0
-    time_limit: float = math.inf
-    callback: Callable[[int, State], None] | None = None
-    history: bool = False
-
-    def __call__(
-        self, field: LightField, display: Display, /, *, init: Solution | Tensor | None = None
-    ) -> Solution:
-        """Return layers; see `synthesize`."""
-        if display.link.name not in self.method.links:
-            raise ValueError(
-                f"method '{self.method.name}' serves {' and '.join(self.method.links)} displays, "
-                f"'{display.name}' is {display.link.name}; try fourier-admm"
-            )
-        return solve(
-            pose(field, display, self.weights),
-            self.method.make(display.link),
-            iterations=self.iterations,
-            init=init,
-            tolerance=self.tolerance,
-            time_limit=self.time_limit,
-            callback=self.callback,
-            history=self.history,
-        )
+_NETWORKS = (
+    NetworkMethod.shipped("stacked-cnn", "trained stack of convolutions; see `weights`"),
+    NetworkMethod.shipped("unet", "trained U-Net; see `weights`"),
+)
+SOLVERS: dict[str, SolverMethod] = {method.name: method for method in _SOLVERS}
+METHODS: dict[str, Method] = {method.name: method for method in (*_SOLVERS, *_NETWORKS)}
+_CHAIN = "expected NETWORK+SOLVER, as unet+fourier-admm"
 
 
 def find_method(name: str) -> Method:
-    """Return the method of that name.
+    """Return the method of that name, weight file or chain.
 
     Raises:
-        ValueError: no such method, with the nearest name.
+        ValueError: no such method, with the nearest name; or a chain that is not a network
+            followed by a solver.
+
+    >>> find_method("unet+fourier-admm").iterations
+    3
     """
-    if name not in METHODS:
-        raise ValueError(f"unknown method '{name}'{did_you_mean(name, METHODS)}")
-    return METHODS[name]
+    first, plus, last = name.rpartition("+")
+    if name in METHODS:
+        return METHODS[name]
+    if plus and not _is_file(name):
+        return ChainMethod.of(_network(first, name), _solver(last, name))
+    if _is_file(name):
+        return NetworkMethod.of_file(name)
+    raise ValueError(f"unknown method '{name}'{did_you_mean(name, METHODS)}")
+
+
+def _is_file(name: str) -> bool:
+    """A folder may have a + in its name; what a method's name and a + come before is a chain."""
+    ends = name.lower().endswith((WEIGHT_SUFFIX, *PICKLE_SUFFIXES))
+    return ends and name.partition("+")[0] not in METHODS
+
+
+def _network(name: str, chain: str) -> NetworkMethod:
+    found = find_method(name) if name in METHODS or _is_file(name) else None
+    if isinstance(found, NetworkMethod):
+        return found
+    if found is not None:
+        raise ValueError(f"'{name}' in '{chain}' is a solver; {_CHAIN}")
+    near = did_you_mean(name, [network.name for network in _NETWORKS])
+    raise ValueError(f"unknown network '{name}' in '{chain}'{near}")
+
+
+def _solver(name: str, chain: str) -> SolverMethod:
+    if name in SOLVERS:
+        return SOLVERS[name]
+    if name in METHODS or _is_file(name):
+        raise ValueError(f"'{name}' in '{chain}' is a network; {_CHAIN}")
+    raise ValueError(f"unknown solver '{name}' in '{chain}'{did_you_mean(name, SOLVERS)}")
+
+
+def spelled(title: str, iterations: int) -> str:
+    """Return a method and its iterations as `evaluate` takes them.
+
+    >>> spelled("nmf", 10), spelled("unet", 0), spelled("unet+nmf", 3)
+    ('nmf:10', 'unet', 'unet+nmf:3')
+    """
+    return f"{title}:{iterations}" if title.rpartition("+")[2] in SOLVERS else title
 
 
 def pose(field: LightField, display: Display, weights: Sequence[float] | None = None) -> Problem:
@@ -157,10 +151,10 @@ def synthesize(
     Args:
         field: the views, as many as the display has viewpoints.
         display: what shows them.
-        method: one of `METHODS`.
+        method: one of `METHODS`, a weight file, or NETWORK+SOLVER.
         iterations: the most to make; the method's own number if not given.
-        init: layers, or an earlier solution, to start from.
-        weights: how much each view counts, at least 0; all alike if not given.
+        init: layers, or an earlier solution, to start from; for solvers.
+        weights: how much each view counts, at least 0; all alike if not given. For solvers.
         tolerance: stop when no pixel changes by more in an iteration; 0: never.
         time_limit: start no iteration after this many seconds.
         callback: called with the iteration and the state after each.
@@ -171,13 +165,8 @@ def synthesize(
             those of the display.
     """
     found = find_method(method)
-    run = SolverSynthesizer(
-        found,
-        found.iterations if iterations is None else iterations,
-        weights,
-        tolerance,
-        time_limit,
-        callback,
-        history,
-    )
-    return run(field, display, init=init)
+    count = found.count(iterations)
+    problem = pose(field, display, weights)
+    found.refuse_unserved(display)
+    options = RunOptions(count, init, weights, tolerance, time_limit, callback, history)
+    return found.run(problem, display, options)

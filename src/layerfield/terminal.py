@@ -56,10 +56,19 @@ def report(out: Path, field: LightField, facts: dict[str, Any]) -> None:
         compared = f"; {known['kind']} {_decibels(known['psnr'])}{excess}"
     say(
         f"{facts['method']} on {facts['display']}: {_decibels(facts['psnr'])} (interior "
-        f"{_decibels(facts['psnr_interior'])}) after {facts['iterations']} iterations, "
-        f"{facts['seconds']:.2f} s{compared}"
+        f"{_decibels(facts['psnr_interior'])}) after {_effort(facts)}{compared}"
     )
     say(f"{len(facts['layers'])} layers, {facts['bits']} bit, are in {out / 'layers'}")
+
+
+def _effort(facts: dict[str, Any]) -> str:
+    """Iterations and seconds; of a network, what had to be clamped."""
+    iterations, seconds = f"{facts['iterations']} iterations", f"{facts['seconds']:.2f} s"
+    if "clamped" not in facts["details"]:
+        return f"{iterations}, {seconds}"
+    more = f" and {iterations}" if facts["iterations"] else ""
+    share = f"{facts['details']['clamped']:.1%}".replace("%", " %")
+    return f"one forward pass{more}, {seconds}, {share} of layer pixels clamped"
 
 
 def _decibels(value: float | None) -> str:

@@ -1,0 +1,89 @@
+"""The command `train`."""
+
+import shlex
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from layerfield.cli_options import Device, Force, with_field_options
+from layerfield.io import FieldOptions, load_light_field
+from layerfield.networks import Network
+from layerfield.refusals import refuse_device
+from layerfield.terminal import say, status
+from layerfield.training.adapt import adaptation
+from layerfield.training.loop import Run, train
+from layerfield.training.recipe import read_recipe
+from layerfield.training.records import WEIGHTS, open_run
+from layerfield.weights import find_shipped, load_shipped, read_weights
+
+
+@with_field_options
+def train_command(
+    recipe: Annotated[str, typer.Argument(metavar="RECIPE", help="a TOML file, or one that ships")],
+    options: FieldOptions,
+    out: Annotated[Path | None, typer.Option("--out", help="folder; runs/RECIPE")] = None,
+    device: Device = "cpu",
+    devices: Annotated[int, typer.Option("--devices", min=1, help="that train together")] = 1,
+    resume: Annotated[bool, typer.Option("--resume", help="go on from the checkpoint")] = False,
+    epochs: Annotated[int | None, typer.Option("--epochs", min=1, help="the recipe's own")] = None,
+    adapt: Annotated[
+        str | None, typer.Option("--adapt", metavar="FIELD", help="tune to one light field")
+    ] = None,
+    weights: Annotated[
+        Path | None, typer.Option("--weights", help="to adapt; those that ship if not given")
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Train a network, or adapt a trained one to a light field."""
+    if find_spec("lightning") is None:
+        raise ValueError(
+            "training needs lightning; install it with pip install 'layerfield[train]'"
+        )
+    refuse_device(device)
+    chosen = read_recipe(recipe)
+    run = Run(
+        recipe=chosen if epochs is None else chosen.model_copy(update={"epochs": epochs}),
+        out=Path("runs", chosen.name + ("-adapted" if adapt else "")) if out is None else out,
+        folder=Path(recipe).parent,
+        device=device,
+        devices=devices,
+        resume=resume,
+        command=_command(recipe, epochs, adapt),
+    )
+    run.display  # noqa: B018  a display that is not there is an error before the work
+    if adapt is not None:
+        run = adaptation(run, load_light_field(adapt, options), _trained(run, weights))
+    open_run(run.out, resume=resume, force=force)
+    with status(total=run.recipe.epochs) as tick:
+        facts = train(replace(run, tick=tick))
+    best = facts["best"]
+    say(
+        f"{run.recipe.name}: {best['validation_psnr']:.2f} dB on validation scenes, "
+        f"{best['test_psnr']:.2f} dB on test scenes after {facts['steps']} steps, "
+        f"{facts['seconds']:.0f} s ({facts['reference']['method']}: "
+        f"{facts['reference']['validation_psnr']:.2f} and {facts['reference']['test_psnr']:.2f} dB)"
+    )
+    for note in facts["notes"]:
+        say(f"note: {note}")
+    say(f"the best network is {run.out / WEIGHTS}; use it with --method {run.out / WEIGHTS}")
+
+
+def _trained(run: Run, weights: Path | None) -> Network:
+    """The network to adapt."""
+    if weights is None:
+        found = load_shipped(find_shipped(run.recipe.network, run.display))
+    else:
+        found = read_weights(weights)
+        found.refuse_other(run.display)
+    return found.network
+
+
+def _command(recipe: str, epochs: int | None, adapt: str | None) -> str:
+    """The command as it is recorded: names of files, no folders."""
+    parts = ["layerfield", "train", Path(recipe).name]
+    parts += ["--epochs", str(epochs)] if epochs is not None else []
+    parts += ["--adapt", Path(adapt).name] if adapt is not None else []
+    return shlex.join(parts)

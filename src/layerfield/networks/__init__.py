@@ -1,0 +1,13 @@
+"""Networks that make layers from views: pure modules, as published; one file each, one line here.
+
+A network takes the views of one colour channel, `[batch, view, y, x]`, and returns layers of the
+same size. `frame` puts it to work on pictures of any size.
+"""
+
+from layerfield.networks.network import Network
+from layerfield.networks.stacked_cnn import StackedCnn
+from layerfield.networks.unet import UNet
+
+NETWORKS: dict[str, type[Network]] = {"stacked-cnn": StackedCnn, "unet": UNet}
+
+__all__ = ["NETWORKS", "Network", "StackedCnn", "UNet"]

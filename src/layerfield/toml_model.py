@@ -1,0 +1,92 @@
+"""TOML files that hold a pydantic model: parsed, validated, every error one line with its key."""
+
+import reprlib
+import tomllib
+from pathlib import Path
+from typing import Any, TypeVar, get_args
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from layerfield.nearest import did_you_mean
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def read_toml_text(path: Path, what: str) -> str:
+    """Return the text of a file.
+
+    Args:
+        path: of the file.
+        what: it describes, for the errors.
+
+    Raises:
+        ValueError: not there, not readable, or not text.
+    """
+    try:
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise ValueError(f"{path} is not a text file; expected {what} in TOML") from None
+    except OSError as error:
+        raise ValueError(f"cannot read {what} {path}: {error.strerror}") from None
+
+
+def parse_toml(text: str, source: str) -> dict[str, Any]:
+    """Parse TOML text.
+
+    Raises:
+        ValueError: not TOML; one line that names the source.
+    """
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # also of numbers that are too long
+        raise ValueError(f"{source} is not valid TOML: {error}") from None
+
+
+def validated(model: type[Model], data: dict[str, Any], source: str) -> Model:
+    """Return the model that the data describe.
+
+    Raises:
+        ValueError: an unknown or missing key, or a wrong value; one line that names the source,
+            the key and the remedy.
+    """
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        # A mistyped key is also a missing one; the typo says more.
+        first = min(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
+        raise ValueError(f"{source}: {_one_line(first, model)}") from None
+
+
+def _one_line(error: ErrorDetails, model: type[BaseModel]) -> str:
+    place, inside = _place(error["loc"])
+    match error["type"]:
+        case "extra_forbidden":
+            known = _keys(model, [part for part in error["loc"][:-1] if isinstance(part, str)])
+            return f"unknown key '{place}'{did_you_mean(str(error['loc'][-1]), known)}"
+        case "missing" if not inside:
+            return f"the key '{place}' is missing"
+        case "missing":
+            return f"'{place}' holds too few numbers"
+        case "value_error":
+            message = error["msg"].removeprefix("Value error, ")
+            return message if not place else f"'{place}': {message}"
+    expected = error["msg"].lower().replace("tuple", "list")
+    return f"'{place}{inside}' is {reprlib.repr(error['input'])}; {expected}"
+
+
+def _place(location: tuple[int | str, ...]) -> tuple[str, str]:
+    """The key, dotted if it is inside a table, and the index into its value."""
+    indices = "".join(f"[{part}]" for part in location if isinstance(part, int))
+    return ".".join(part for part in location if isinstance(part, str)), indices
+
+
+def _keys(model: type[BaseModel], path: list[str]) -> list[str]:
+    """The keys of a model, or of the table inside it that a path of keys leads to."""
+    for key in path:
+        annotation = model.model_fields[key].annotation
+        tables = [m for m in (annotation, *get_args(annotation)) if hasattr(m, "model_fields")]
+        if not tables:
+            return []
+        model = tables[0]  # pyright: ignore[reportAssignmentType]
+    return list(model.model_fields)

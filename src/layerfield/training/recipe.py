@@ -1,0 +1,234 @@
+"""A training as it is written down: validated data, one TOML file."""
+
+import inspect
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from layerfield.nearest import did_you_mean
+from layerfield.networks import NETWORKS
+from layerfield.toml_model import parse_toml, read_toml_text, validated
+
+_RECIPES = files("layerfield") / "training" / "recipes"
+
+Count = Annotated[int, Field(strict=True, ge=1)]
+Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
+Factors = Annotated[tuple[Positive, ...], Field(min_length=1)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class StoredScenes(_Table):
+    """A finite set of patches of procedural scenes; one epoch is one pass.
+
+    A sample is one colour channel of a patch, its intensity multiplied by one of the factors.
+
+    Args:
+        scenes: how many; one patch is cut from each.
+        patch: height and width of a patch, pixels.
+        intensities: factors; every channel of every patch appears with each of them.
+        stretch: range of disparities, in units of the depth of the display.
+    """
+
+    scenes: Count
+    patch: Annotated[int, Field(strict=True, ge=16)]
+    intensities: Factors = (1.0,)
+    stretch: Positive = 1.0
+
+
+class DrawnScenes(_Table):
+    """Procedural scenes without end: patches of a pool in which new scenes replace old ones.
+
+    Args:
+        pool: scenes at hand at any time.
+        every: steps after which the oldest scene is replaced.
+        size: height and width of the scenes, pixels.
+        patch: height and width of what is cut from them.
+        intensities: the lowest and the highest factor.
+        stretch: range of disparities, in units of the depth of the display.
+        steps: of an epoch.
+    """
+
+    pool: Count
+    every: Count
+    size: Annotated[int, Field(strict=True, ge=16)]
+    patch: Annotated[int, Field(strict=True, ge=16)]
+    intensities: tuple[Positive, Positive] = (0.4, 1.0)
+    stretch: Positive = 1.0
+    steps: Count = 100
+
+    @model_validator(mode="after")
+    def _patches_fit(self):
+        _refuse_large(self.patch, self.size)
+        return self
+
+
+class FieldFolder(_Table):
+    """Patches of light fields of the user's own.
+
+    Args:
+        folder: holds light fields, whatever reader they need; relative to the recipe.
+        options: how to read them, as on the command line (`views = "5x5"`).
+        patch: height and width of a patch, pixels.
+        intensities: the lowest and the highest factor.
+        steps: of an epoch.
+    """
+
+    folder: str
+    options: dict[str, str | int | float] = {}
+    patch: Annotated[int, Field(strict=True, ge=16)]
+    intensities: tuple[Positive, Positive] = (0.4, 1.0)
+    steps: Count = 100
+
+
+class Loss(_Table):
+    """Mean square error of the views plus weight times a regulariser of the pixel values.
+
+    Args:
+        regulariser: `range`, mean of relu(P - 1)^2 + relu(-P)^2, or `energy`, mean of P^2.
+        weight: of it.
+        error: `mean`, the mean square error of the batch as in the paper, or `log`, the mean
+            logarithm of the mean square errors of the samples: dark and easy samples then count
+            as much as difficult ones, as they do in PSNR.
+    """
+
+    regulariser: Literal["range", "energy"] = "range"
+    weight: NotNegative = 0.1
+    error: Literal["mean", "log"] = "mean"
+
+
+class Optimiser(_Table):
+    """How weights follow gradients.
+
+    Args:
+        name: `adam`, as in the paper, or `muon`: orthogonalised momentum for kernels, Adam for
+            the rest.
+        rate: the highest learning rate.
+        schedule: `constant`, or `cosine`: a rise over the first 2 % of the steps, then half a
+            cosine down to 0.
+    """
+
+    name: Literal["adam", "muon"] = "adam"
+    rate: Positive = 1e-4
+    schedule: Literal["constant", "cosine"] = "constant"
+
+
+class Judging(_Table):
+    """Validation and test scenes, disjoint from each other and from those of training.
+
+    Args:
+        scenes: of each.
+        size: height and width, pixels.
+    """
+
+    scenes: Count = 12
+    size: Annotated[int, Field(strict=True, ge=16)] = 96
+
+
+class Recipe(_Table):
+    """Everything that a training depends on.
+
+    Args:
+        name: of the recipe and of its run.
+        description: one sentence.
+        display: a preset or a display file (relative to the recipe).
+        network: one of `NETWORKS`.
+        options: of the network: width, depth, skips or modules.
+        stored: training data: this, or
+        drawn: this, or
+        fields: this.
+        loss: what is minimised.
+        optimiser: how.
+        judging: what checkpoints are judged on.
+        batch: samples of a step, over all devices.
+        epochs: how many.
+        start: `drawn`: Kaiming initialisation as it comes, or `even`: its output channels scaled
+            so that all layers share what is shown.
+        symmetries: transpose or half-turn samples at random, image and view grid together. (One
+            without the other would change the mapping from angles to depths.)
+        precision: of convolutions, `fp32` or `bf16`; weights and losses are fp32.
+        seed: of weights, order, patches and scenes.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    description: str = ""
+    display: str
+    network: str
+    options: dict[str, Count | bool] = {}
+    stored: StoredScenes | None = None
+    drawn: DrawnScenes | None = None
+    fields: FieldFolder | None = None
+    loss: Loss = Loss()
+    optimiser: Optimiser = Optimiser()
+    judging: Judging = Judging()
+    batch: Count = 15
+    epochs: Count = 100
+    start: Literal["drawn", "even"] = "drawn"
+    symmetries: bool = False
+    precision: Literal["fp32", "bf16"] = "fp32"
+    seed: Annotated[int, Field(strict=True, ge=0, le=255)] = 0
+
+    @model_validator(mode="after")
+    def _network_exists(self):
+        if self.network not in NETWORKS:
+            raise ValueError(
+                f"unknown network '{self.network}'{did_you_mean(self.network, NETWORKS)}"
+            )
+        known = list(inspect.signature(NETWORKS[self.network]).parameters)[2:]
+        for key in self.options:
+            if key not in known:
+                raise ValueError(f"unknown key 'options.{key}'{did_you_mean(key, known)}")
+        return self
+
+    @model_validator(mode="after")
+    def _has_one_source(self):
+        found = [key for key in ("stored", "drawn", "fields") if getattr(self, key) is not None]
+        if len(found) != 1:
+            named = " and ".join(f"[{key}]" for key in found) or "none"
+            raise ValueError(
+                f"expected one table of training data, [stored], [drawn] or [fields]; found {named}"
+            )
+        return self
+
+    @property
+    def patch(self) -> int:
+        """Height and width of what a step is made on, pixels."""
+        source = self.stored or self.drawn or self.fields
+        assert source is not None
+        return source.patch
+
+
+def recipe_names() -> list[str]:
+    """Names of the recipes that come with the package, sorted."""
+    found = (entry.name for entry in _RECIPES.iterdir())
+    return sorted(name.removesuffix(".toml") for name in found if name.endswith(".toml"))
+
+
+def read_recipe(name: str | Path) -> Recipe:
+    """Return the recipe of that name, or of a TOML file.
+
+    A path whose file does not exist, as `recipes/quick.toml`, means the recipe that ships under
+    that name.
+
+    Raises:
+        ValueError: no such recipe or file, or a file that is no recipe, with the key.
+    """
+    path = Path(name)
+    if path.is_file():
+        text, source = read_toml_text(path, "a recipe"), str(path)
+    elif path.stem in recipe_names() and path.suffix in ("", ".toml"):
+        text, source = (_RECIPES / f"{path.stem}.toml").read_text("utf-8"), path.stem
+    else:
+        near = did_you_mean(path.stem, recipe_names())
+        raise ValueError(f"unknown recipe '{name}'{near}; expected a TOML file or one that ships")
+    return validated(Recipe, parse_toml(text, source), source)
+
+
+def _refuse_large(patch: int, size: int) -> None:
+    if patch > size:
+        raise ValueError(f"patches of {patch} px do not fit into scenes of {size} px")

@@ -1,0 +1,396 @@
+"""Trained networks in files that describe themselves, and those that come with the package.
+
+A weight file is safetensors: tensors, and in its metadata, under the key `layerfield`, the
+`WeightsCard` as JSON. The folder `trained` of the package holds such files and `registry.json`, a
+list of `Entry`. Pickles are never loaded, nothing is downloaded.
+"""
+
+import copy
+import hashlib
+import inspect
+import json
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import torch
+from pydantic import TypeAdapter, ValidationError
+from safetensors import SafetensorError
+from safetensors.torch import load, save
+from torch import Tensor
+
+from layerfield.display import Display, preset_names
+from layerfield.display_spec import parse_spec
+from layerfield.io.safe_output import whole_file
+from layerfield.nearest import did_you_mean
+from layerfield.networks import NETWORKS, Network
+
+TRAINED = Path(__file__).parent / "trained"  # weights that come with the package
+WEIGHT_SUFFIX = ".safetensors"
+PICKLE_SUFFIXES = (".pt", ".pth", ".ckpt", ".pkl", ".pickle", ".bin")
+
+_KEY = "layerfield"  # of the metadata
+_PICKLE_STARTS = (b"PK", b"\x80")  # a zip of PyTorch, or a bare pickle
+_LARGEST_OPTION = 1024  # a larger one comes from a damaged card, and would take all memory
+_SAME_SHIFT = 1e-6  # pixels
+_REMEDY = "train with `layerfield train RECIPE.toml` and give --method FILE.safetensors"
+
+Checked = TypeVar("Checked")
+
+
+@dataclass(frozen=True)
+class WeightsCard:
+    """What a weight file says of itself.
+
+    Args:
+        network: key of `NETWORKS`.
+        options: constructor options of the network, as width, depth, modules, skips.
+        display: what it was trained for, as TOML (`format_spec`).
+        recipe: name of the recipe.
+        training: facts: command, steps, seconds, metrics, versions.
+    """
+
+    network: str
+    options: dict[str, int | bool]
+    display: str
+    recipe: str
+    training: dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedNetwork:
+    """A network with its weights, ready to run.
+
+    Args:
+        network: in evaluation mode, float32, on the CPU.
+        card: what its file says of it.
+        display: what it was trained for.
+        sha256: of the file.
+        name: of the file, without suffix.
+    """
+
+    network: Network
+    card: WeightsCard
+    display: Display
+    sha256: str
+    name: str
+
+    def refuse_other(self, display: Display) -> None:
+        """Refuse a display that the network was not trained for.
+
+        Raises:
+            ValueError: another link, view grid or shifts; names both view grids.
+        """
+        if not same_light_paths(self.display, display):
+            raise ValueError(
+                f"weights '{self.name}' were trained for '{self.display.name}' "
+                f"({_described(self.display)}), found display '{display.name}' "
+                f"({_described(display)}); take that display, or {_REMEDY}"
+            )
+
+    def on(self, device: torch.device, dtype: torch.dtype) -> Network:
+        """Return the network on a device and in a precision; itself if it is there already."""
+        here = self.network.last.weight
+        if (here.device, here.dtype) == (device, dtype):
+            return self.network
+        return copy.deepcopy(self.network).to(device, dtype)
+
+
+def same_light_paths(one: Display, other: Display) -> bool:
+    """Say whether displays have the same link, view grid and shifts, whatever their names."""
+    if (one.link.name, one.geometry.grid) != (other.link.name, other.geometry.grid):
+        return False
+    pair = [[c for view in d.geometry.shifts for s in view for c in s] for d in (one, other)]
+    return len(pair[0]) == len(pair[1]) and all(
+        math.isclose(a, b, abs_tol=_SAME_SHIFT) for a, b in zip(*pair, strict=True)
+    )
+
+
+def _described(display: Display) -> str:
+    grid = display.geometry.grid
+    views = f"{grid[0]}x{grid[1]} views" if grid else f"{display.view_count} listed views"
+    reach = max(abs(c) for view in display.geometry.shifts for shift in view for c in shift)
+    return f"{display.link.name}, {views}, {display.layer_count} layers, shifts to {reach:g} px"
+
+
+# ------------------------------------------------------------------------------------ weight files
+
+
+def write_weights(
+    path: str | Path, network: Network, card: WeightsCard, *, half: bool = False
+) -> str:
+    """Write a weight file, whole or not at all; an earlier one is replaced.
+
+    Args:
+        path: ends in .safetensors.
+        network: its weights.
+        card: what is to be said of it.
+        half: store float16, half the size.
+
+    Returns:
+        The sha256 of the file.
+
+    Raises:
+        ValueError: weights that are not finite (in float16), or the file cannot be written.
+    """
+    dtype = torch.float16 if half else torch.float32
+    tensors = {
+        name: tensor.detach().to("cpu", dtype).contiguous()
+        for name, tensor in network.state_dict().items()
+    }
+    _refuse_infinite(tensors, f"cannot write {path}")
+    data = save(tensors, {_KEY: json.dumps(asdict(card), sort_keys=True)})
+    with whole_file(path, force=True) as temporary:
+        temporary.write_bytes(data)
+    return hashlib.sha256(data).hexdigest()
+
+
+def read_weights(path: str | Path) -> TrainedNetwork:
+    """Read a weight file.
+
+    Raises:
+        ValueError: no such file, a pickle, damaged, without a card, a card that describes no
+            network, or tensors that do not fit it or are not finite.
+    """
+    path = Path(path)
+    data = _bytes_of(path)
+    tensors = _tensors(data, path)
+    card = _card(data, path)
+    display = Display(parse_spec(card.display, f"the display that {path} was trained for"))
+    network = _network(card, display, path)
+    _refuse_misfits(tensors, network.state_dict(), path)
+    _refuse_infinite(tensors, f"cannot use {path}")
+    network.to_empty(device="cpu").load_state_dict(tensors)
+    sha256 = hashlib.sha256(data).hexdigest()
+    return TrainedNetwork(network.eval(), card, display, sha256, path.stem)
+
+
+def kept_weights(path: str | Path) -> TrainedNetwork:
+    """Return `read_weights`, once as long as the file stays the same. Not to be changed."""
+    path = Path(path)
+    try:
+        found = path.stat()
+    except OSError:
+        return read_weights(path)  # which says what is wrong
+    return _kept(path.resolve(), path, found.st_mtime_ns, found.st_size)
+
+
+@lru_cache(maxsize=4)
+def _kept(_resolved: Path, path: Path, _changed: int, _size: int) -> TrainedNetwork:
+    return read_weights(path)
+
+
+def _bytes_of(path: Path) -> bytes:
+    if path.suffix.lower() in PICKLE_SUFFIXES:
+        raise ValueError(_never_loaded(path))
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise ValueError(f"there is no file {path}; expected trained weights") from None
+    except OSError as error:
+        raise ValueError(f"cannot read the weights {path}: {error.strerror}") from None
+
+
+def _tensors(data: bytes, path: Path) -> dict[str, Tensor]:
+    try:
+        return load(data)
+    except (SafetensorError, KeyError, AssertionError, RuntimeError) as error:
+        if data.startswith(_PICKLE_STARTS) and any(data[2:8]):  # where a header's length has 0
+            raise ValueError(_never_loaded(path)) from None
+        raise ValueError(
+            f"{path} is damaged, cut off or no safetensors file ({error}); copy or train it again"
+        ) from None
+
+
+def _never_loaded(path: Path) -> str:
+    return (
+        f"{path} is a pickle; such files can run any program and are never loaded: give weights "
+        "as .safetensors, which `layerfield train` writes"
+    )
+
+
+def _card(data: bytes, path: Path) -> WeightsCard:
+    """Return the card in a header that has been found valid."""
+    header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
+    text = header.get("__metadata__", {}).get(_KEY)
+    if text is None:
+        raise ValueError(
+            f"{path} does not say what network and display it is for: its metadata lacks "
+            f"'{_KEY}'; give a file that `layerfield train` wrote"
+        )
+    return _checked(TypeAdapter(WeightsCard).validate_python, text, f"the metadata of {path}")
+
+
+def _checked(validate: Callable[[Any], Checked], text: str, source: str) -> Checked:
+    """Return what JSON describes."""
+    try:
+        return validate(json.loads(text))
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(map(str, first["loc"]))
+        raise ValueError(f"{source}: '{place}': {first['msg'].lower()}") from None
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{source} is not valid JSON: {error}") from None
+
+
+def _network(card: WeightsCard, display: Display, path: Path) -> Network:
+    """Return the network that a card describes, with shapes but without memory."""
+    if card.network not in NETWORKS:
+        near = did_you_mean(card.network, NETWORKS)
+        raise ValueError(f"{path} is for an unknown network '{card.network}'{near}")
+    make = NETWORKS[card.network]
+    _refuse_unknown_options(card, inspect.signature(make).parameters, path)
+    try:
+        with torch.device("meta"):
+            return make(display.view_count, display.layer_count, **card.options)
+    except (ValueError, TypeError, ArithmeticError, RuntimeError):
+        raise ValueError(
+            f"{path}: there is no '{card.network}' with the options {_listed(card.options)}"
+        ) from None
+
+
+def _refuse_unknown_options(card: WeightsCard, known: Iterable[str], path: Path) -> None:
+    known = [name for name in known if name not in ("views", "layers")]
+    for name, value in card.options.items():
+        if name not in known:
+            near = did_you_mean(name, known)
+            raise ValueError(f"{path}: '{card.network}' has no option '{name}'{near}")
+        if not 0 <= value <= _LARGEST_OPTION:
+            raise ValueError(f"{path}: option '{name}' is {value}, at most {_LARGEST_OPTION} is")
+
+
+def _listed(options: dict[str, int | bool]) -> str:
+    return ", ".join(f"{name} = {value}" for name, value in options.items()) or "of its own"
+
+
+def _refuse_misfits(found: dict[str, Tensor], expected: dict[str, Tensor], path: Path) -> None:
+    for name in [*expected, *found]:
+        has, wants = (_kind(tensors.get(name)) for tensors in (found, expected))
+        if has != wants:
+            raise ValueError(
+                f"the weights in {path} do not fit its network: '{name}' is {has}, expected "
+                f"{wants}; train it again"
+            )
+
+
+def _kind(tensor: Tensor | None) -> str:
+    if tensor is None:
+        return "missing"
+    size = "x".join(map(str, tensor.shape))
+    return size if tensor.is_floating_point() else f"{size} of {tensor.dtype}"
+
+
+def _refuse_infinite(tensors: dict[str, Tensor], what: str) -> None:
+    for name, tensor in tensors.items():
+        if not tensor.float().isfinite().all():
+            raise ValueError(
+                f"{what}: '{name}' holds values that are not finite, the training has diverged; "
+                "train with a lower rate"
+            )
+
+
+# --------------------------------------------------------------------------------- shipped weights
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One line of the registry of shipped weights.
+
+    Args:
+        name: in tables and results.
+        file: in the folder `trained`.
+        sha256: of the file; verified when it is loaded.
+        network: key of `NETWORKS`.
+        display: what it was trained for: TOML as in the file's card, or the name of a preset.
+        recipe: name of the recipe.
+        command: that trained it.
+        megabytes: size of the file.
+        storage: `float16` or `float32`.
+        default: the one to take where several serve a display.
+        metrics: what it reaches, by name; lists show numbers named `mean...` if there are any.
+        trained_on: processor, seconds, steps.
+        notes: anything else worth saying.
+    """
+
+    name: str
+    file: str
+    sha256: str
+    network: str
+    display: str
+    recipe: str
+    command: str
+    megabytes: float
+    storage: str
+    default: bool
+    metrics: dict[str, Any]
+    trained_on: dict[str, Any]
+    notes: str = ""
+
+    @property
+    def trained_for(self) -> Display:
+        """The display, made from its description."""
+        if self.display in preset_names():
+            return Display.load(self.display)
+        return Display(parse_spec(self.display, f"the display of the shipped '{self.name}'"))
+
+    @property
+    def scores(self) -> str:
+        """The metrics in a line: the means, or all where none is called one."""
+        numbers = {k: v for k, v in self.metrics.items() if isinstance(v, int | float)}
+        means = {k: v for k, v in numbers.items() if k.startswith("mean")} or numbers
+        return ", ".join(f"{name.replace('_', ' ')} {value:.2f}" for name, value in means.items())
+
+
+def shipped() -> list[Entry]:
+    """Return the registry of weights that come with the package.
+
+    Raises:
+        ValueError: the registry is missing or damaged.
+    """
+    path = TRAINED / "registry.json"
+    try:
+        text = path.read_text("utf-8")
+    except OSError as error:
+        raise ValueError(f"cannot read {path}: {error.strerror}; install layerfield anew") from None
+    return _checked(TypeAdapter(list[Entry]).validate_python, text, str(path))
+
+
+def find_shipped(network: str, display: Display) -> Entry:
+    """Return the shipped weights of a network for a display; the default if there are several.
+
+    Raises:
+        ValueError: there are none; says what is shipped for which display and view grid.
+    """
+    entries = [entry for entry in shipped() if entry.network == network]
+    fitting = [e for e in entries if same_light_paths(e.trained_for, display)]
+    if fitting:
+        return max(fitting, key=lambda entry: entry.default)
+    others = {f"'{e.trained_for.name}' ({_described(e.trained_for)})": None for e in entries}
+    raise ValueError(
+        f"no weights of '{network}' are shipped for display '{display.name}' "
+        f"({_described(display)}), only for {' and '.join(others) or 'none'}; {_REMEDY}"
+    )
+
+
+def shipped_networks(display: Display) -> list[str]:
+    """Return the networks that have shipped weights for a display, sorted."""
+    return sorted({e.network for e in shipped() if same_light_paths(e.trained_for, display)})
+
+
+def load_shipped(entry: Entry) -> TrainedNetwork:
+    """Return the shipped network of an entry, once; not to be changed.
+
+    Raises:
+        ValueError: as `read_weights`, or the file is not the one that was registered.
+    """
+    path = TRAINED / entry.file
+    trained = kept_weights(path)
+    if trained.sha256 != entry.sha256:
+        raise ValueError(
+            f"{path} has the sha256 {trained.sha256[:12]}..., the registry expects "
+            f"{entry.sha256[:12]}...: it is damaged or was replaced; install layerfield anew"
+        )
+    return trained

@@ -1,0 +1,317 @@
+"""Training: data that repeat, the loss, recipes, resuming after a kill, several processes."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import load_file
+from test_cli import run
+
+from layerfield import Display, LightField, procedural_light_field, synthesize
+from layerfield.links import LINKS
+from layerfield.networks import NETWORKS, UNet
+from layerfield.networks.network import dead_layers, initialise, level, reseed
+from layerfield.result import write_views
+from layerfield.training.loop import Run, train
+from layerfield.training.muon import orthogonal
+from layerfield.training.objective import Objective
+from layerfield.training.recipe import Loss, read_recipe, recipe_names
+from layerfield.training.records import CHECKPOINT, WEIGHTS, open_run, read_history
+from layerfield.training.sources import source_of, turned
+
+TINY = """
+name = "tiny"
+display = "additive-3"
+network = "unet"
+options = { width = 4, depth = 1 }
+batch = 4
+epochs = 3
+start = "even"
+
+[stored]
+scenes = 4
+patch = 24
+intensities = [1.0, 0.5]
+
+[optimiser]
+name = "adam"
+rate = 1e-3
+
+[judging]
+scenes = 2
+size = 24
+"""
+DRAWN = TINY.replace(
+    "[stored]\nscenes = 4\npatch = 24\nintensities = [1.0, 0.5]",
+    "[drawn]\npool = 3\nevery = 2\nsize = 32\npatch = 24\nsteps = 4",
+).replace('name = "adam"\nrate = 1e-3', 'name = "muon"\nrate = 0.01\nschedule = "cosine"')
+COMMAND = Path(sys.executable).with_name("layerfield")
+CPU = torch.device("cpu")
+
+
+def recipe(tmp_path: Path, text: str = TINY):
+    path = tmp_path / "tiny.toml"
+    path.write_text(text, "utf-8")
+    return read_recipe(path)
+
+
+def trained(tmp_path: Path, name: str, text: str = TINY, **options) -> dict[str, torch.Tensor]:
+    out = tmp_path / name
+    open_run(out, resume=options.get("resume", False), force=False)
+    train(Run(recipe=recipe(tmp_path, text), out=out, **options))
+    return load_file(out / WEIGHTS)
+
+
+def same(first: dict[str, torch.Tensor], second: dict[str, torch.Tensor], within: float = 0.0):
+    assert first.keys() == second.keys()
+    return all((first[key] - second[key]).abs().max() <= within for key in first)
+
+
+@pytest.mark.parametrize("text", [TINY, DRAWN])
+def test_batches_depend_on_seed_and_step_alone(tmp_path, text):
+    display, chosen = Display.load("additive-3"), recipe(tmp_path, text)
+    first, second = (source_of(chosen, display, tmp_path, CPU) for _ in range(2))
+    for step in (0, 1, 5):
+        first.batch(step, 4)
+    assert torch.equal(first.batch(5, 4), second.batch(5, 4))
+    assert not torch.equal(second.batch(5, 4), second.batch(6, 4))
+    other = source_of(chosen.model_copy(update={"seed": 1}), display, tmp_path, CPU)
+    assert not torch.equal(other.batch(5, 4), second.batch(5, 4))
+
+
+def test_an_epoch_of_stored_samples_is_one_pass(tmp_path):
+    source = source_of(recipe(tmp_path), Display.load("additive-3"), tmp_path, CPU)
+    assert source.facts()["samples"] == 4 * 2 * 3
+    for epoch in range(2):
+        parts = [source.batch(epoch * 5 + n, 5) for n in range(source.steps(5))]
+        assert torch.cat(parts).flatten(1).unique(dim=0).shape[0] == 24
+
+
+def test_training_validation_and_test_scenes_are_disjoint(tmp_path):
+    source = source_of(recipe(tmp_path), Display.load("additive-3"), tmp_path, CPU)
+    sets = source.sets(recipe(tmp_path))
+    scenes = torch.cat([sets["train"], sets["validation"], sets["test"]]).flatten(1)
+    assert torch.cdist(scenes, scenes).add(torch.eye(len(scenes)) * 9).min() > 1
+
+
+def test_a_joint_turn_is_a_light_field_of_the_same_display():
+    """The turned views of a scene obey the display's geometry: a point still moves as it must."""
+    display = Display.load("additive-3")
+    layers = torch.rand(2, 1, 3, 1, 20, 20)
+    shown = display(layers)[:, :, 0]
+    for seed in range(4):
+        views = turned(shown, (5, 5), torch.Generator().manual_seed(seed))
+        images = layers[:, 0, :, 0]
+        generator = torch.Generator().manual_seed(seed)
+        transpose, half = (torch.rand(2, generator=generator) < 0.5).tolist()
+        images = images.transpose(-1, -2) if transpose else images
+        images = images.flip(-1, -2) if half else images
+        assert torch.allclose(display(images[:, None, :, None])[:, :, 0], views, atol=1e-6)
+
+
+@pytest.mark.parametrize("link", LINKS)
+@pytest.mark.parametrize("regulariser", ["range", "energy"])
+def test_the_loss_is_its_formula(link, regulariser):
+    display = Display.load(f"{link}-3")
+    network = UNet(25, 3, width=4, depth=1)
+    initialise(network, torch.Generator().manual_seed(3))
+    views = torch.rand(2, 25, 16, 16)
+    loss = Objective(network, display, Loss(regulariser=regulariser, weight=0.7))(views)
+    padded = torch.nn.functional.pad(views, (2, 2, 2, 2), mode="replicate")
+    values = network.pixels(padded)
+    shown = display(values.relu()[:, None, :, None])[:, :, 0]
+    error = ((shown - views) ** 2).mean()
+    outside = torch.where(values > 1, values - 1, torch.where(values < 0, values, 0.0))
+    penalty = outside if regulariser == "range" else values
+    assert torch.allclose(loss, error + 0.7 * (penalty**2).mean(), rtol=1e-5)
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_dead_layers_are_found_and_drawn_anew(name):
+    network = NETWORKS[name](25, 3, width=4)
+    generator = torch.Generator().manual_seed(0)
+    initialise(network, generator)
+    views = torch.rand(2, 25, 16, 16)
+    level(network, views, 0.2)
+    means = network.pixels(views).mean(dim=(0, 2, 3))
+    assert torch.allclose(means, torch.full((3,), 0.2), atol=1e-5)
+    with torch.no_grad():
+        network.last.weight[1] = -network.last.weight[1].abs()
+    assert dead_layers(network, views) == [1]
+    kept = network.last.weight[0].clone()
+    reseed(network, [1], generator)
+    assert torch.equal(network.last.weight[0], kept)
+
+
+def test_orthogonal_keeps_directions_and_levels_their_strength():
+    generator = torch.Generator().manual_seed(0)
+    matrix = torch.randn(12, 30, generator=generator)
+    for given in (matrix, matrix.T):
+        strengths = torch.linalg.svdvals(orthogonal(given))
+        assert strengths.min() > 0.6 and strengths.max() < 1.3
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Folders of trainings that nothing interrupted, by recipe."""
+    folder = tmp_path_factory.mktemp("whole")
+    for name, text in (("stored", TINY), ("drawn", DRAWN)):
+        trained(folder, name, text)
+    return {TINY: folder / "stored", DRAWN: folder / "drawn"}
+
+
+@pytest.mark.parametrize("text", [TINY, DRAWN])
+def test_a_resumed_training_ends_where_an_uninterrupted_one_does(tmp_path, whole, text):
+    shorter = text.replace("epochs = 3", "epochs = 2")
+    if "cosine" in text:  # the schedule depends on the number of epochs: break off instead
+        stop = _Stop(after=2)
+        with pytest.raises(KeyboardInterrupt):
+            trained(tmp_path, "parts", text, tick=stop)
+    else:
+        trained(tmp_path, "parts", shorter)
+    ended = trained(tmp_path, "parts", text, resume=True)
+    assert same(ended, load_file(whole[text] / WEIGHTS))
+    rows = [read_history(folder) for folder in (whole[text], tmp_path / "parts")]
+    for one, other in zip(*rows, strict=True):
+        assert {**one, "seconds": 0} == {**other, "seconds": 0}
+
+
+class _Stop:
+    """Interrupts a training at the start of an epoch."""
+
+    def __init__(self, after: int) -> None:
+        self.after = after
+
+    def __call__(self, what: str, done: int) -> None:
+        if done == self.after:
+            raise KeyboardInterrupt
+
+
+def test_a_killed_training_goes_on(tmp_path, whole):
+    recipe(tmp_path, DRAWN)
+    command = [COMMAND, "train", "tiny.toml", "--out", "killed"]
+    process = subprocess.Popen(command, cwd=tmp_path, env=os.environ | {"OMP_NUM_THREADS": "1"})
+    checkpoint = tmp_path / "killed" / CHECKPOINT
+    while not checkpoint.exists() and process.poll() is None:
+        time.sleep(0.005)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    done = run("train", tmp_path / "tiny.toml", "--out", tmp_path / "killed", "--resume")
+    assert done.status == 0, done.err
+    ended = load_file(tmp_path / "killed" / WEIGHTS)
+    assert same(ended, load_file(whole[DRAWN] / WEIGHTS), within=1e-6)
+
+
+@pytest.mark.parametrize("write", range(9))
+def test_a_fault_at_any_write_loses_nothing(tmp_path, monkeypatch, whole, write):
+    """Every file of a run is renamed into place; the n-th of these renames fails."""
+    rename, seen = Path.replace, []
+
+    def faulty(self, target):
+        if "broken" in str(target):
+            seen.append(target)
+            if len(seen) == write + 1:
+                raise KeyboardInterrupt
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "replace", faulty)
+    with pytest.raises(KeyboardInterrupt):
+        trained(tmp_path, "broken")
+    monkeypatch.undo()
+    out = tmp_path / "broken"
+    assert not [p for p in out.iterdir() if p.name.startswith(".")]
+    resume = (out / CHECKPOINT).exists()
+    open_run(out, resume=resume, force=True)
+    train(Run(recipe=recipe(tmp_path), out=out, resume=resume))
+    assert same(load_file(out / WEIGHTS), load_file(whole[TINY] / WEIGHTS))
+
+
+def test_two_processes_train_as_one(tmp_path, whole):
+    recipe(tmp_path)
+    done = run("train", tmp_path / "tiny.toml", "--out", tmp_path / "two", "--devices", "2")
+    assert done.status == 0, done.err
+    ended = load_file(tmp_path / "two" / WEIGHTS)
+    assert same(ended, load_file(whole[TINY] / WEIGHTS), within=1e-5)
+
+
+def test_a_network_is_adapted_to_a_field(tmp_path, monkeypatch, whole):
+    monkeypatch.chdir(tmp_path)
+    recipe(tmp_path)
+    start = whole[TINY] / WEIGHTS
+    field = procedural_light_field(size=(40, 48), seed=5)
+    write_views(tmp_path / "views", field.views, Display.load("additive-3"), 8)
+    adapt = ["train", "tiny.toml", "--adapt", "views", "--weights", str(start)]
+    done = run(*adapt, "--out", "adapted")
+    assert done.status == 0, done.err
+    before, after = (
+        Display.load("additive-3")(layers_by(path, field))
+        for path in (start, tmp_path / "adapted" / WEIGHTS)
+    )
+    assert (after - field.views).square().mean() < (before - field.views).square().mean()
+
+
+def layers_by(path: Path, field: LightField) -> torch.Tensor:
+    return synthesize(field, Display.load("additive-3"), method=str(path)).layers
+
+
+WRONG = {
+    "unknown key": ('batch = 4\nbacth = 4', "unknown key 'bacth'; did you mean 'batch'"),
+    "unknown key in a table": ("scenes = 4\nsceens = 4", "unknown key 'stored.sceens'"),
+    "wrong type": ('batch = "four"', "'batch' is 'four'"),
+    "negative rate": ("rate = -1e-3", "'optimiser.rate' is -0.001"),
+    "unknown network": ('network = "unnet"', "unknown network 'unnet'; did you mean 'unet'"),
+    "unknown option": ("options = { widht = 4 }", "unknown key 'options.widht'"),
+    "unknown display": ('display = "additive-4"', "unknown display 'additive-4'"),
+    "no patches": ("patch = 2", "'stored.patch' is 2"),
+    "two sources": ("[fields]\nfolder = 'x'\npatch = 24\n[judging]", "found [stored] and [fields]"),
+    "not TOML": ("batch = = 4", "is not valid TOML"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_recipe_is_one_line(tmp_path, monkeypatch, case):
+    monkeypatch.chdir(tmp_path)
+    line, expected = WRONG[case]
+    key = line.split("\n")[-1] if line.endswith("[judging]") else line.split("=")[0].strip()
+    lines = TINY.splitlines()
+    (place,) = [n for n, old in enumerate(lines) if old.startswith(key)][:1]
+    Path("wrong.toml").write_text("\n".join([*lines[:place], line, *lines[place + 1 :]]))
+    done = run("train", "wrong.toml")
+    assert done.status == 2
+    assert expected in done.err.replace("\n", " ")
+    assert len(done.err.strip().splitlines()) == 1
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["wrong.toml"]
+
+
+def test_other_wrong_trainings_are_one_line(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("tiny.toml").write_text(TINY)
+    missing = TINY.replace("[stored]\nscenes = 4", "[fields]\nfolder = 'none'").replace(
+        "intensities = [1.0, 0.5]", ""
+    )
+    Path("missing.toml").write_text(missing)
+    cases = {
+        "train quikc": "unknown recipe 'quikc'; did you mean 'quick'",
+        "train missing.toml": "there is no folder none",
+        "train tiny.toml --resume": "holds no checkpoint.safetensors to resume from",
+        "train tiny.toml --adapt none --weights tiny.toml": "none",
+    }
+    for command, expected in cases.items():
+        done = run(*command.split())
+        assert done.status == 2
+        assert expected in done.err, done.err
+        assert len(done.err.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize("name", recipe_names())
+def test_recipes_that_ship_are_valid(name):
+    found = read_recipe(f"recipes/{name}.toml")
+    assert found.name == name
+    assert Display.load(found.display).view_count == 25
+    network = NETWORKS[found.network](25, 3, **found.options)
+    assert sum(p.numel() for p in network.parameters()) < 10e6

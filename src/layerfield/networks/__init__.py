@@ -4,10 +4,12 @@ A network takes the views of one colour channel, `[batch, view, y, x]`, and retu
 same size. `frame` puts it to work on pictures of any size.
 """
 
+from collections.abc import Callable
+
 from layerfield.networks.network import Network
 from layerfield.networks.stacked_cnn import StackedCnn
 from layerfield.networks.unet import UNet
 
-NETWORKS: dict[str, type[Network]] = {"stacked-cnn": StackedCnn, "unet": UNet}
+NETWORKS: dict[str, Callable[..., Network]] = {"stacked-cnn": StackedCnn, "unet": UNet}
 
 __all__ = ["NETWORKS", "Network", "StackedCnn", "UNet"]

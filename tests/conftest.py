@@ -18,13 +18,15 @@ FIELDS = Path(
 )
 
 
+# Small tensors and shared machines: more threads cost more than they bring. Now, and not in a
+# fixture: fixtures of modules come before those of tests, and sums depend on the threads.
+torch.set_num_threads(1)
+
+
 @pytest.fixture(autouse=True)
 def _one_thread():
-    """Small tensors and shared machines: more threads cost more than they bring."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
     yield
-    torch.set_num_threads(before)
+    torch.set_num_threads(1)
 
 
 @pytest.fixture(autouse=True, scope="session")

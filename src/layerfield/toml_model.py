@@ -59,10 +59,10 @@ def validated(model: type[Model], data: dict[str, Any], source: str) -> Model:
 
 
 def _one_line(error: ErrorDetails, model: type[BaseModel]) -> str:
-    place, inside = _place(error["loc"])
+    place, inside = _place(error["loc"], model)
     match error["type"]:
         case "extra_forbidden":
-            known = _keys(model, [part for part in error["loc"][:-1] if isinstance(part, str)])
+            known = list((_table(model, place.split(".")[:-1]) or model).model_fields)
             return f"unknown key '{place}'{did_you_mean(str(error['loc'][-1]), known)}"
         case "missing" if not inside:
             return f"the key '{place}' is missing"
@@ -75,18 +75,25 @@ def _one_line(error: ErrorDetails, model: type[BaseModel]) -> str:
     return f"'{place}{inside}' is {reprlib.repr(error['input'])}; {expected}"
 
 
-def _place(location: tuple[int | str, ...]) -> tuple[str, str]:
-    """The key, dotted if it is inside a table, and the index into its value."""
-    indices = "".join(f"[{part}]" for part in location if isinstance(part, int))
-    return ".".join(part for part in location if isinstance(part, str)), indices
+def _place(location: tuple[int | str, ...], model: type[BaseModel]) -> tuple[str, str]:
+    """The key, dotted if it is inside a table, and the index into its value.
+
+    A location also names the member of a union that was tried; that is no key and left out.
+    """
+    keys: list[str] = []
+    for part in location:
+        if isinstance(part, str) and _table(model, keys) is not None:
+            keys.append(part)
+    return ".".join(keys), "".join(f"[{part}]" for part in location if isinstance(part, int))
 
 
-def _keys(model: type[BaseModel], path: list[str]) -> list[str]:
-    """The keys of a model, or of the table inside it that a path of keys leads to."""
+def _table(model: type[BaseModel], path: list[str]) -> type[BaseModel] | None:
+    """The model of the table that a path of keys leads to; none if it leads to a value."""
     for key in path:
-        annotation = model.model_fields[key].annotation
+        field = model.model_fields.get(key)
+        annotation = field.annotation if field else None
         tables = [m for m in (annotation, *get_args(annotation)) if hasattr(m, "model_fields")]
         if not tables:
-            return []
+            return None
         model = tables[0]  # pyright: ignore[reportAssignmentType]
-    return list(model.model_fields)
+    return model

@@ -133,7 +133,7 @@ def _error_and_slope(problem: Problem, layers: Tensor) -> tuple[float, Tensor]:
 
 def _optimum(problem: Problem, tick: Callable[[str], None] | None) -> Reference:
     """Run the direct solver, then the same in double precision, until the gap is certified."""
-    solver = FourierAdmm(penalty=0.003, balance=0)
+    solver = FourierAdmm(penalty=0.003, warm_penalty=0.003, balance=0)
     run = solve(problem, solver, iterations=4 * _ROUND)
     exact = replace(problem, target=problem.target.double())
     iterations, gap, init = run.iterations, math.inf, run.layers.double()

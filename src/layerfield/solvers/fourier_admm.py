@@ -17,10 +17,12 @@ class AdmmState:
     Args:
         shadow: s = z + u.
         resolvent: 2 rho (G + rho I)^-1, as `multiply` wants it.
+        rho: the penalty.
     """
 
     shadow: Float[Tensor, "*batch 1 layer c ty tx"]
     resolvent: Tensor
+    rho: float
 
 
 @dataclass(frozen=True)
@@ -37,27 +39,30 @@ class FourierAdmm:
 
     Args:
         penalty: rho as a share of the sum of view weights.
+        warm_penalty: the same when given layers are the start. They are near the optimum, the
+            more so the lower the frequency: what is left to do is better done stiffly, and the
+            dual, which the gradient over rho says at bounds, is less disturbed by their errors.
         relaxation: a, 1 to 2.
         balance: of the term b/2 sum_k (mean P_k - mean P)^2 per pixel, as a share of the sum of
             view weights; 0 for the optimum, whatever its split.
     """
 
     penalty: float = 0.05
+    warm_penalty: float = 0.2
     relaxation: float = 1.6
     balance: float = 0.003
 
     def init(self, problem: Problem, start: AdmmState | Tensor | None) -> AdmmState:
         if isinstance(start, AdmmState):
             return start
-        layers = problem.even_start() if start is None else start
-        shadow = problem.gram.to_torus(layers)
+        rho = sum(problem.weights) * (self.penalty if start is None else self.warm_penalty)
+        shadow = problem.gram.to_torus(problem.even_start() if start is None else start)
         if start is not None:
-            shadow = shadow + self._dual(problem, shadow)
-        return AdmmState(shadow, interleaved(self._resolvent(problem)))
+            shadow = shadow + _dual(problem, shadow, rho)
+        return AdmmState(shadow, interleaved(self._resolvent(problem, rho)), rho)
 
-    def _resolvent(self, problem: Problem) -> Tensor:
+    def _resolvent(self, problem: Problem, rho: float) -> Tensor:
         """2 rho (G + rho I)^-1, with the term for balance at frequency zero."""
-        rho = self._rho(problem)
         matrix = problem.gram.symbol.clone()
         identity = torch.eye(len(matrix), dtype=matrix.dtype, device=matrix.device)
         matrix += rho * identity[:, :, None, None]
@@ -65,19 +70,11 @@ class FourierAdmm:
         matrix[:, :, 0, 0] += self.balance * sum(problem.weights) * apart
         return 2 * rho * inverse(matrix)
 
-    def _dual(self, problem: Problem, iterate: Tensor) -> Tensor:
-        """The dual of layers that are nearly optimal: u = -gradient / rho where a bound holds."""
-        low, high = problem.bounds
-        gradient = problem.gram(iterate)
-        problem.gram.from_torus(gradient).sub_(problem.back_projected)
-        held = ((iterate <= low) & (gradient > 0)) | ((iterate >= high) & (gradient < 0))
-        return torch.where(held, gradient / -self._rho(problem), 0)
-
     def step(self, problem: Problem, state: AdmmState) -> AdmmState:
         iterate = state.shadow.clamp(*problem.bounds)
         moved = self._solved(problem, state, iterate).sub_(iterate)
         shadow = torch.add(state.shadow, moved, alpha=self.relaxation, out=moved)
-        return AdmmState(shadow, state.resolvent)
+        return AdmmState(shadow, state.resolvent, state.rho)
 
     def unbounded(
         self, problem: Problem, state: AdmmState
@@ -87,7 +84,7 @@ class FourierAdmm:
         return problem.gram.from_torus(self._solved(problem, state, iterate))
 
     def _solved(self, problem: Problem, state: AdmmState, iterate: Tensor) -> Tensor:
-        gram, share = problem.gram, 1 / (2 * self._rho(problem))
+        gram, share = problem.gram, 1 / (2 * state.rho)
         # A^T W L + rho (z - u) + band, all over 2 rho; z - u = 2 z - s
         right = torch.sub(iterate, state.shadow, alpha=0.5)
         gram.from_torus(right).add_(problem.back_projected, alpha=share)
@@ -98,5 +95,11 @@ class FourierAdmm:
     def layers(self, problem: Problem, state: AdmmState) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         return problem.gram.from_torus(state.shadow).clamp(*problem.bounds)
 
-    def _rho(self, problem: Problem) -> float:
-        return self.penalty * sum(problem.weights)
+
+def _dual(problem: Problem, iterate: Tensor, rho: float) -> Tensor:
+    """The dual of layers that are nearly optimal: u = -gradient / rho where a bound holds."""
+    low, high = problem.bounds
+    gradient = problem.gram(iterate)
+    problem.gram.from_torus(gradient).sub_(problem.back_projected)
+    held = ((iterate <= low) & (gradient > 0)) | ((iterate >= high) & (gradient < 0))
+    return torch.where(held, gradient / -rho, 0)

@@ -15,7 +15,7 @@ from test_cli import run
 from layerfield import Display, LightField, procedural_light_field, synthesize
 from layerfield.links import LINKS
 from layerfield.networks import NETWORKS, UNet
-from layerfield.networks.network import dead_layers, initialise, level, reseed
+from layerfield.networks.network import dead_layers, hand_on, initialise, level, reseed
 from layerfield.result import write_views
 from layerfield.training.loop import Run, train
 from layerfield.training.muon import orthogonal
@@ -23,6 +23,7 @@ from layerfield.training.objective import Objective
 from layerfield.training.recipe import Loss, read_recipe, recipe_names
 from layerfield.training.records import CHECKPOINT, WEIGHTS, open_run, read_history
 from layerfield.training.sources import source_of, turned
+from layerfield.training.start import starting_network
 
 TINY = """
 name = "tiny"
@@ -315,3 +316,50 @@ def test_recipes_that_ship_are_valid(name):
     assert Display.load(found.display).view_count == 25
     network = NETWORKS[found.network](25, 3, **found.options)
     assert sum(p.numel() for p in network.parameters()) < 10e6
+
+
+def test_a_training_may_start_from_trained_weights(tmp_path, whole):
+    """On the same display they stay as they are; on another one their layers are levelled."""
+    weights = whole[TINY] / WEIGHTS
+    stored = load_file(weights)
+    for link, same_display in (("additive", True), ("multiplicative", False)):
+        text = TINY.replace("additive-3", f"{link}-3").replace('"even"', f'"{weights}"')
+        chosen = recipe(tmp_path, text)
+        display = Display.load(chosen.display)
+        source = source_of(chosen, display, tmp_path, CPU)
+        network, notes = starting_network(chosen, display, source, tmp_path)
+        assert "started from the weights weights (sha256" in notes[0]
+        found = network.state_dict()
+        assert torch.equal(found["entry.0.weight"], stored["entry.0.weight"])
+        assert torch.equal(found["last.weight"], stored["last.weight"]) == same_display
+    network, _ = starting_network(chosen, display, source, tmp_path)
+    mean = network.pixels(source.batch(0, 4)).mean(dim=(0, 2, 3))
+    assert torch.allclose(mean, source.batch(0, 4).mean().pow(1 / 3).expand(3), atol=1e-5)
+
+
+def test_a_stack_may_hand_on_its_input():
+    network = NETWORKS["stacked-cnn"](25, 3, width=32, modules=6)
+    initialise(network, torch.Generator().manual_seed(0))
+    hand_on(network, share=0.0)
+    views = torch.rand(1, 25, 12, 12)
+    assert torch.equal(network.stack(views)[:, :25], views)
+
+
+@pytest.mark.parametrize("start", ["evne", "none.safetensors", "other"])
+def test_a_wrong_start_is_one_line_and_replaces_nothing(tmp_path, monkeypatch, whole, start):
+    monkeypatch.chdir(tmp_path)
+    trained(tmp_path, "before")
+    kept = (tmp_path / "before" / WEIGHTS).read_bytes()
+    given = whole[TINY] / WEIGHTS if start == "other" else start
+    text = TINY.replace('"even"', f'"{given}"').replace("width = 4", "width = 8")
+    Path("wrong.toml").write_text(text)
+    done = run("train", "wrong.toml", "--out", "before", "--force")
+    assert done.status == 2
+    expected = {
+        "evne": "did you mean 'even'",
+        "none.safetensors": "there is no file none.safetensors",
+        "other": "width",
+    }
+    assert expected[start] in done.err
+    assert len(done.err.strip().splitlines()) == 1
+    assert (tmp_path / "before" / WEIGHTS).read_bytes() == kept

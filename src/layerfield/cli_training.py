@@ -16,7 +16,7 @@ from layerfield.terminal import say, status
 from layerfield.training.adapt import adaptation
 from layerfield.training.loop import Run, train
 from layerfield.training.recipe import read_recipe
-from layerfield.training.records import WEIGHTS, open_run
+from layerfield.training.records import WEIGHTS, refuse_run
 from layerfield.weights import find_shipped, load_shipped, read_weights
 
 
@@ -51,12 +51,13 @@ def train_command(
         device=device,
         devices=devices,
         resume=resume,
+        force=force,
         command=_command(recipe, epochs, adapt),
     )
+    refuse_run(run.out, resume=resume, force=force)
     run.display  # noqa: B018  a display that is not there is an error before the work
     if adapt is not None:
         run = adaptation(run, load_light_field(adapt, options), _trained(run, weights))
-    open_run(run.out, resume=resume, force=force)
     with status(total=run.recipe.epochs) as tick:
         facts = train(replace(run, tick=tick))
     best = facts["best"]

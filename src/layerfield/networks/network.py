@@ -64,6 +64,20 @@ def initialise(network: Network, generator: torch.Generator) -> None:
                 module.bias.zero_()
 
 
+def hand_on(network: Network, share: float = 0.2) -> None:
+    """Make every 3x3 convolution but the last the identity plus a share of what was drawn.
+
+    A deep stack without skips hands on little of its input as it is drawn, and learns slowly.
+    Values are at least 0 behind a ReLU, so what is handed on passes all of them.
+    """
+    for module in network.modules():
+        if isinstance(module, nn.Conv2d) and module is not network.last:
+            with torch.no_grad():
+                module.weight *= share
+                for channel in range(min(module.in_channels, module.out_channels)):
+                    module.weight[channel, channel, 1, 1] += 1
+
+
 def dead_layers(
     network: Network, views: Float[Tensor, "batch view y x"], share: float = 0.01
 ) -> list[int]:
@@ -88,6 +102,8 @@ def level(network: Network, views: Float[Tensor, "batch view y x"], target: floa
 
     A channel whose mean is negative changes its sign: the weights stay as uniform as they were.
     """
+    assert network.last.bias is not None
     with torch.no_grad():
         mean = network.pixels(views).mean(dim=(0, 2, 3))
         network.last.weight *= (target / mean)[:, None, None, None]
+        network.last.bias *= target / mean

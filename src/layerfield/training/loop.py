@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from layerfield.display import Display
-from layerfield.networks import NETWORKS, Network
-from layerfield.networks.network import dead_layers, initialise, level, reseed
+from layerfield.networks import Network
 from layerfield.training.checkpoint import (
     Checkpoint,
     read_checkpoint,
@@ -25,15 +24,15 @@ from layerfield.training.judging import Judges
 from layerfield.training.muon import Muon
 from layerfield.training.objective import Objective
 from layerfield.training.recipe import Optimiser, Recipe
-from layerfield.training.records import CHECKPOINT, History, Records, read_result
+from layerfield.training.records import CHECKPOINT, History, Records, open_run, read_result
 from layerfield.training.sources import Source, source_of
+from layerfield.training.start import starting_network
 
 if TYPE_CHECKING:
     from lightning.fabric import Fabric
 
 _WARM_UP = 0.02  # share of all steps in which the cosine schedule rises
 _BIAS_RATE = 0.1  # Adam's rate for biases in units of Muon's rate for kernels
-_MOST_SEEDS = 100  # of a dead layer
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +46,7 @@ class Run:
         device: `cpu` or `cuda`.
         devices: how many; more than one share every batch.
         resume: go on where the checkpoint in `out` stands.
+        force: replace an earlier training in `out`.
         command: to be recorded.
         initial: a network to start from instead of a new one.
         source: training data instead of the recipe's.
@@ -59,6 +59,7 @@ class Run:
     device: str = "cpu"
     devices: int = 1
     resume: bool = False
+    force: bool = False
     command: str = ""
     initial: Network | None = None
     source: Source | None = None
@@ -113,7 +114,9 @@ class Trainer:
         self.source = run.source or source_of(run.recipe, run.display, run.folder, fabric.device)
         self.steps = self.source.steps(self.recipe.batch)
         self.total = self.steps * self.recipe.epochs
-        self.network, self.notes = starting_network(run, self.source)
+        self.network, self.notes = starting_network(
+            self.recipe, run.display, self.source, run.folder, run.initial
+        )
         self.network.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
         objective = Objective(self.network, run.display, self.recipe.loss)
         self.objective = fabric.setup_module(objective)
@@ -127,6 +130,8 @@ class Trainer:
 
     def fit(self) -> None:
         """Make all steps that are left; judge and save after every epoch."""
+        if self.fabric.is_global_zero:
+            open_run(self.run.out, resume=self.run.resume, force=self.run.force)
         records = self._records() if self.fabric.is_global_zero else None
         while self.step < self.total:
             row = self._epoch()
@@ -200,40 +205,6 @@ class Trainer:
         self.history, self.notes = found.facts["history"], found.facts["notes"]
         self.step = int(self.history[-1]["step"])
         self.seconds = self.history[-1]["seconds"]
-
-
-def starting_network(run: Run, source: Source) -> tuple[Network, list[str]]:
-    """Return the network that training starts from, and what had to be done about dead layers."""
-    recipe, display = run.recipe, run.display
-    if run.initial is not None:
-        return run.initial.train(), []
-    network = network_for(recipe, display)
-    generator = torch.Generator().manual_seed(recipe.seed)
-    initialise(network, generator)
-    views = source.batch(0, recipe.batch)
-    side = views.shape[-1] // network.multiple * network.multiple
-    views = views[..., :side, :side].cpu()
-    notes = []
-    for _ in range(_MOST_SEEDS):
-        dead = dead_layers(network, views)
-        if not dead:
-            break
-        notes.append(f"layer {' and '.join(map(str, dead))} was dead at the start and drawn anew")
-        reseed(network, dead, generator)
-    if recipe.start == "even":
-        even = display.link.to_sum(views.mean()) / display.layer_count
-        level(network, views, display.link.from_sum(even).item())
-    return network, notes
-
-
-def network_for(recipe: Recipe, display: Display) -> Network:
-    """Return an untrained network of a recipe.
-
-    Raises:
-        ValueError: an unknown network, or options it does not have.
-    """
-    make = NETWORKS[recipe.network]
-    return make(display.view_count, display.layer_count, **recipe.options)
 
 
 def optimisers_for(network: Network, chosen: Optimiser) -> list[torch.optim.Optimizer]:

@@ -147,8 +147,10 @@ class Recipe(_Table):
         judging: what checkpoints are judged on.
         batch: samples of a step, over all devices.
         epochs: how many.
-        start: `drawn`: Kaiming initialisation as it comes, or `even`: its output channels scaled
-            so that all layers share what is shown.
+        start: `drawn`: Kaiming initialisation as it comes, `even`: its output channels scaled
+            so that all layers share what is shown, `identity`: besides, every convolution but
+            the last hands on what it gets, plus a share of what was drawn. Or else the name of
+            shipped weights, or a weight file, of such a network: it learns from what it knows.
         symmetries: transpose or half-turn samples at random, image and view grid together. (One
             without the other would change the mapping from angles to depths.)
         precision: of convolutions, `fp32` or `bf16`; weights and losses are fp32.
@@ -168,7 +170,7 @@ class Recipe(_Table):
     judging: Judging = Judging()
     batch: Count = 15
     epochs: Count = 100
-    start: Literal["drawn", "even"] = "drawn"
+    start: str = "drawn"
     symmetries: bool = False
     precision: Literal["fp32", "bf16"] = "fp32"
     seed: Annotated[int, Field(strict=True, ge=0, le=255)] = 0

@@ -92,8 +92,8 @@ class Records:
         write_weights(self.out / WEIGHTS, network, card)
 
 
-def open_run(out: Path, *, resume: bool, force: bool) -> None:
-    """Make the folder of a run, or find it as it was left.
+def refuse_run(out: Path, *, resume: bool, force: bool) -> None:
+    """Refuse a folder that a run cannot be made or resumed in; change nothing.
 
     Raises:
         ValueError: nothing to resume from, or a folder that may not be replaced.
@@ -101,17 +101,28 @@ def open_run(out: Path, *, resume: bool, force: bool) -> None:
     if resume:
         if not (out / CHECKPOINT).is_file():
             raise ValueError(f"{out} holds no {CHECKPOINT} to resume from; leave out --resume")
-        return
-    if out.is_dir() and any(out.iterdir()):
+    elif out.is_dir() and any(out.iterdir()):
         if not force:
             raise ValueError(f"{out} exists; go on with --resume, replace it with --force")
         if not any((out / name).exists() for name in (CHECKPOINT, RESULT, WEIGHTS, BOARD)):
             raise ValueError(
                 f"{out} holds no training and will not be replaced; give another --out"
             )
-        shutil.rmtree(out)
+
+
+def open_run(out: Path, *, resume: bool, force: bool) -> None:
+    """Make the folder of a run, or find it as it was left.
+
+    Raises:
+        ValueError: as `refuse_run`, or the folder cannot be made.
+    """
+    refuse_run(out, resume=resume, force=force)
+    if resume:
+        return
     try:
-        out.mkdir(parents=True, exist_ok=True)
+        if out.is_dir():
+            shutil.rmtree(out)
+        out.mkdir(parents=True)
     except OSError as error:
         raise ValueError(f"cannot make {out}: {error.strerror}") from None
 

@@ -1,0 +1,110 @@
+"""The network that a training starts from: drawn weights, or those of a trained one."""
+
+from pathlib import Path
+
+import torch
+
+from layerfield.display import Display
+from layerfield.nearest import did_you_mean
+from layerfield.networks import NETWORKS, Network
+from layerfield.networks.network import dead_layers, hand_on, initialise, level, reseed
+from layerfield.training.recipe import Recipe
+from layerfield.training.sources import Source
+from layerfield.weights import (
+    WEIGHT_SUFFIX,
+    TrainedNetwork,
+    load_shipped,
+    read_weights,
+    same_light_paths,
+    shipped,
+)
+
+_MOST_SEEDS = 100  # of a dead layer
+_STARTS = ("drawn", "even", "identity")
+
+
+def starting_network(
+    recipe: Recipe, display: Display, source: Source, folder: Path, given: Network | None = None
+) -> tuple[Network, list[str]]:
+    """Return the network that training starts from, and what had to be done about dead layers.
+
+    Args:
+        recipe: its `start` says how.
+        display: that is trained for.
+        source: of samples that tell dead layers.
+        folder: that paths in the recipe are relative to.
+        given: a network to go on with instead.
+
+    Raises:
+        ValueError: a recipe whose options the network does not have, or whose `start` is none.
+    """
+    if given is not None:
+        return given.train(), []
+    generator = torch.Generator().manual_seed(recipe.seed)
+    network, known, notes = _begun(recipe, display, folder, generator)
+    views = source.batch(0, recipe.batch)
+    side = views.shape[-1] // network.multiple * network.multiple
+    views = views[..., :side, :side].cpu()
+    for _ in range(_MOST_SEEDS):
+        dead = dead_layers(network, views)
+        if not dead:
+            break
+        notes.append(f"layer {' and '.join(map(str, dead))} was dead at the start and drawn anew")
+        reseed(network, dead, generator)
+    if recipe.start != "drawn" and not known:
+        even = display.link.to_sum(views.mean()) / display.layer_count
+        level(network, views, display.link.from_sum(even).item())
+    return network, notes
+
+
+def _begun(
+    recipe: Recipe, display: Display, folder: Path, generator: torch.Generator
+) -> tuple[Network, bool, list[str]]:
+    """Return the network with its first weights, whether they know the display, and notes."""
+    network = network_for(recipe, display)
+    if recipe.start not in _STARTS:
+        trained = _named_weights(recipe.start, folder)
+        _refuse_other_network(network, trained, recipe)
+        network.load_state_dict(trained.network.state_dict())
+        note = f"started from the weights {trained.name} (sha256 {trained.sha256})"
+        return network, same_light_paths(trained.display, display), [note]
+    initialise(network, generator)
+    if recipe.start == "identity":
+        hand_on(network)
+    return network, False, []
+
+
+def _named_weights(name: str, folder: Path) -> TrainedNetwork:
+    """Return shipped weights by name, or those of a file, relative to the recipe."""
+    entries = {entry.name: entry for entry in shipped()}
+    if name in entries:
+        return load_shipped(entries[name])
+    if name.endswith(WEIGHT_SUFFIX):
+        return read_weights(folder / name)
+    near = did_you_mean(name, [*_STARTS, *entries])
+    raise ValueError(f"'start' is '{name}', neither a way to start nor weights{near}")
+
+
+def _refuse_other_network(network: Network, trained: TrainedNetwork, recipe: Recipe) -> None:
+    found, expected = (
+        {key: tuple(value.shape) for key, value in each.state_dict().items()}
+        for each in (trained.network, network)
+    )
+    if found != expected:
+        card = trained.card
+        raise ValueError(
+            f"'start': the weights '{recipe.start}' are of a {card.network} {card.options} for "
+            f"{trained.network.views} views and {trained.network.layers} layers, the recipe's is a "
+            f"{recipe.network} {recipe.options} for {network.views} views and {network.layers} "
+            "layers; start from others, or with 'even'"
+        )
+
+
+def network_for(recipe: Recipe, display: Display) -> Network:
+    """Return an untrained network of a recipe.
+
+    Raises:
+        ValueError: an unknown network, or options it does not have.
+    """
+    make = NETWORKS[recipe.network]
+    return make(display.view_count, display.layer_count, **recipe.options)

@@ -14,6 +14,7 @@ import layerfield
 from layerfield import DisparitySpec, Display, PhysicalSpec, preset_names
 from layerfield.display_spec import format_spec, parse_spec
 from layerfield.result import write_views
+from layerfield.training.recipe import read_recipe
 
 ROOT = Path(__file__).parents[1]
 
@@ -61,7 +62,8 @@ def test_lower_rooms_do_not_import_higher_ones():
         "links", "composition", "display_spec", "display", "panels", "solve", "solvers",
         "networks", "metrics", "provenance", "scenes", "io", "plane_sweep", "disparity", "weights",
         "methods", "synthesizer", "reference", "evaluate", "result", "training", "report", "demo",
-        "terminal", "process", "cli_options", "refusals", "cli_training", "cli", "__main__",
+        "reproduction", "terminal", "process", "cli_options", "refusals", "cli_reproduction",
+        "cli_training", "cli", "__main__",
     ]  # fmt: skip
     source = ROOT / "src" / "layerfield"
     for file in source.rglob("*.py"):
@@ -152,6 +154,30 @@ def test_every_command_of_the_readme_runs(tmp_path):
                 shell=True, cwd=tmp_path, capture_output=True, text=True, check=False,
             )  # fmt: skip
             assert done.returncode == 0, f"{command}\n{done.stderr}"
+
+
+def test_every_command_of_the_page_on_networks_runs(tmp_path):
+    """But for trainings, whose recipes are read only."""
+    page = (ROOT / "docs" / "networks.md").read_text("utf-8")
+    field = layerfield.procedural_light_field(size=(40, 48))
+    write_views(tmp_path / "my-views", field.views, Display.load("additive-3"), 8)
+    (toml,) = re.findall(r"```toml\n(.*?)```", page, flags=re.DOTALL)
+    (tmp_path / "my-recipe.toml").write_text(toml, "utf-8")
+    for command in commands_in(page):
+        name, *words = command.split()
+        assert name == "layerfield"
+        if words[0] == "train":
+            recipe = read_recipe(tmp_path / words[1] if "my-" in words[1] else words[1])
+            assert recipe.name == words[1].removesuffix(".toml")
+        else:
+            done = subprocess.run(
+                [Path(sys.executable).parent / name, *words],
+                cwd=tmp_path, capture_output=True, text=True, check=False,
+            )  # fmt: skip
+            assert done.returncode == 0, f"{command}\n{done.stderr}"
+    for row in re.findall(r"^\| (`.*?) \|", page.split("| recipe |")[1], flags=re.MULTILINE):
+        for recipe in re.findall("`(.*?)`", row):
+            read_recipe(recipe)
 
 
 def test_every_python_block_of_the_readme_runs(tmp_path, monkeypatch):

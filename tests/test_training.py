@@ -10,11 +10,12 @@ from pathlib import Path
 import pytest
 import torch
 from safetensors.torch import load_file
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from test_cli import run
 
 from layerfield import Display, LightField, procedural_light_field, synthesize
 from layerfield.links import LINKS
-from layerfield.networks import NETWORKS, UNet
+from layerfield.networks import NETWORKS, StackedCnn, UNet
 from layerfield.networks.network import dead_layers, hand_on, initialise, level, reseed
 from layerfield.result import write_views
 from layerfield.training.loop import Run, train
@@ -182,6 +183,23 @@ def test_a_resumed_training_ends_where_an_uninterrupted_one_does(tmp_path, whole
         assert {**one, "seconds": 0} == {**other, "seconds": 0}
 
 
+def test_tensorboard_reads_a_run_and_its_files_name_no_machine(tmp_path):
+    stop = _Stop(after=2)
+    with pytest.raises(KeyboardInterrupt):
+        trained(tmp_path, "parts", tick=stop)
+    trained(tmp_path, "parts", resume=True)
+    folder = tmp_path / "parts" / "tensorboard"
+    assert sorted(path.name for path in folder.iterdir()) == [
+        f"events.out.tfevents.000000000{n}" for n in range(2)
+    ]
+    found = EventAccumulator(str(folder)).Reload().Scalars("validation_psnr")
+    rows = read_history(tmp_path / "parts")
+    assert [event.step for event in found] == [row["step"] for row in rows]
+    assert [event.value for event in found] == pytest.approx(
+        [row["validation_psnr"] for row in rows], rel=1e-6
+    )
+
+
 class _Stop:
     """Interrupts a training at the start of an epoch."""
 
@@ -338,7 +356,7 @@ def test_a_training_may_start_from_trained_weights(tmp_path, whole):
 
 
 def test_a_stack_may_hand_on_its_input():
-    network = NETWORKS["stacked-cnn"](25, 3, width=32, modules=6)
+    network = StackedCnn(25, 3, width=32, modules=6)
     initialise(network, torch.Generator().manual_seed(0))
     hand_on(network, share=0.0)
     views = torch.rand(1, 25, 12, 12)

@@ -50,9 +50,9 @@ class Records:
         self.out, self.recipe, self.display, self.facts = out, recipe, display, facts
         self.board = None
         if find_spec("tensorboard") is not None:
-            from torch.utils.tensorboard import SummaryWriter  # noqa: PLC0415, it takes seconds
+            from layerfield.training.board import Board  # noqa: PLC0415, optional
 
-            self.board = SummaryWriter(str(out / BOARD), purge_step=step)
+            self.board = Board(out / BOARD, step)
 
     def write(self, history: History, notes: list[str], device: torch.device) -> None:
         """Write history and result after an epoch."""
@@ -76,9 +76,8 @@ class Records:
         with whole_file(self.out / RESULT, force=True) as path:
             path.write_text(json.dumps(facts, indent=2), "utf-8")
         if self.board is not None:
-            for key in set(last) - {"epoch", "step"}:
-                self.board.add_scalar(key, last[key], int(last["step"]))
-            self.board.flush()
+            scalars = {key: last[key] for key in last if key not in ("epoch", "step")}
+            self.board.add(scalars, int(last["step"]))
 
     def write_weights(self, network: Network, row: dict[str, float], device: torch.device) -> None:
         """Write the network, with the row of history that it earned."""

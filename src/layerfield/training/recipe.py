@@ -16,6 +16,7 @@ _RECIPES = files("layerfield") / "training" / "recipes"
 Count = Annotated[int, Field(strict=True, ge=1)]
 Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(strict=True, ge=0, allow_inf_nan=False)]
+Stretch = Positive | tuple[Positive, Positive]
 Factors = Annotated[tuple[Positive, ...], Field(min_length=1)]
 
 
@@ -50,7 +51,8 @@ class DrawnScenes(_Table):
         size: height and width of the scenes, pixels.
         patch: height and width of what is cut from them.
         intensities: the lowest and the highest factor.
-        stretch: range of disparities, in units of the depth of the display.
+        stretch: range of disparities, in units of the depth of the display; of a pair, every
+            scene draws its own, evenly in its logarithm.
         steps: of an epoch.
     """
 
@@ -59,7 +61,7 @@ class DrawnScenes(_Table):
     size: Annotated[int, Field(strict=True, ge=16)]
     patch: Annotated[int, Field(strict=True, ge=16)]
     intensities: tuple[Positive, Positive] = (0.4, 1.0)
-    stretch: Positive = 1.0
+    stretch: Stretch = 1.0
     steps: Count = 100
 
     @model_validator(mode="after")
@@ -124,10 +126,12 @@ class Judging(_Table):
     Args:
         scenes: of each.
         size: height and width, pixels.
+        stretch: as of the scenes to train on.
     """
 
     scenes: Count = 12
     size: Annotated[int, Field(strict=True, ge=16)] = 96
+    stretch: Stretch = 1.0
 
 
 class Recipe(_Table):

@@ -22,7 +22,7 @@ from layerfield.io import FieldOptions, load_light_field
 from layerfield.nearest import did_you_mean
 from layerfield.scenes import render, scenes_for
 from layerfield.synthesizer import pose
-from layerfield.training.recipe import DrawnScenes, FieldFolder, Recipe, StoredScenes
+from layerfield.training.recipe import DrawnScenes, FieldFolder, Recipe, StoredScenes, Stretch
 
 # Seeds of scenes, apart from each other whatever the recipe's seed, which is below 2^8. PyTorch
 # takes the lowest 32 bits of a seed.
@@ -55,25 +55,44 @@ class Source(Protocol):
 
 
 def scenes(
-    display: Display, count: int, size: int, *, seed: int, stretch: float, device: torch.device
+    display: Display, count: int, size: int, *, seed: int, stretch: Stretch, device: torch.device
 ) -> UInt8[Tensor, "scene view 3 y x"]:
-    """Return 8-bit views of procedural scenes, seed for seed the same ones."""
+    """Return 8-bit views of procedural scenes, seed for seed the same ones.
+
+    Args:
+        display: whose viewpoints and depth they have.
+        count: how many.
+        size: height and width, pixels.
+        seed: of the first.
+        stretch: range of disparities, in units of the depth of the display; every scene draws its
+            own from a pair.
+        device: where they are drawn.
+    """
     parts = []
-    for first in range(0, count, _BATCH):
-        some = min(_BATCH, count - first)
+    at_once = 1 if isinstance(stretch, tuple) else _BATCH
+    for first in range(seed, seed + count, at_once):
         drawn = scenes_for(
-            display.geometry, some, size=(size, size), seed=seed + first, stretch=stretch,
+            display.geometry, min(at_once, seed + count - first), size=(size, size), seed=first,
+            stretch=_stretch_of(first, *stretch) if isinstance(stretch, tuple) else stretch,
             device=device,
         )  # fmt: skip
         parts.append(render(drawn, display.geometry.slopes).mul(255).round().to(torch.uint8))
     return torch.cat(parts)
 
 
+def _stretch_of(seed: int, low: float, high: float) -> float:
+    """The stretch of a scene, evenly spread in its logarithm."""
+    return low * (high / low) ** torch.rand((), generator=_generator(seed, 0)).item()
+
+
 def fresh_sets(display: Display, recipe: Recipe) -> dict[str, Float[Tensor, "scene view 3 y x"]]:
     """Return scenes of validation and of test, values 0 to 1; the same for all seeds."""
-    count, size, device = recipe.judging.scenes, recipe.judging.size, torch.device("cpu")
+    chosen, device = recipe.judging, torch.device("cpu")
     return {
-        name: scenes(display, count, size, seed=seed, stretch=1.0, device=device).float() / 255
+        name: scenes(
+            display, chosen.scenes, chosen.size, seed=seed, stretch=chosen.stretch, device=device
+        ).float()
+        / 255
         for name, seed in (("validation", _VALIDATION), ("test", _TEST))
     }
 

@@ -19,6 +19,7 @@ from layerfield.cli_options import (
     recorded,
     with_field_options,
 )
+from layerfield.cli_reproduction import reproduce_command
 from layerfield.cli_training import train_command
 from layerfield.demo import run_demo
 from layerfield.disparity import estimate_disparity
@@ -280,6 +281,7 @@ def methods() -> None:
 
 
 app.command(name="train")(train_command)
+app.command(name="reproduce")(reproduce_command)
 
 
 @app.command(name="weights")

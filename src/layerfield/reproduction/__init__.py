@@ -1,0 +1,1 @@
+"""Published results, measured again: figures, and a verdict on every claim."""

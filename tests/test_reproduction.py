@@ -30,6 +30,7 @@ from layerfield.reproduction.claims import (
     judge_equivalence,
     judge_quality,
     judge_uniformity,
+    lines_beside,
 )
 from layerfield.reproduction.contenders import CNN, RECIPES, UNET, Contender
 from layerfield.reproduction.convergence import Trainings, judge_training
@@ -46,6 +47,7 @@ from layerfield.reproduction.measures import (
 )
 from layerfield.reproduction.memory import peak_memory
 from layerfield.reproduction.runs import TrainedRun, find_runs, find_weights, train_both
+from layerfield.reproduction.statement import claim_lines
 from layerfield.result import write_views
 from layerfield.synthesizer import pose
 from layerfield.training import sources
@@ -209,6 +211,24 @@ def test_computation_is_judged_at_equal_quality():
 def test_a_solver_that_never_gets_there_counts_as_more():
     checks = judge_computation([measured(shown(UNET, 40.0), shown(CNN, 30.0), RISING)])
     assert checks[-1].holds and "does not get there in 120" in checks[-1].figures
+
+
+def test_seconds_of_a_busy_machine_decide_nothing():
+    """Whatever they would have said, for or against."""
+    for seconds in (0.001, 100.0):
+        unet = shown(UNET, 30.0, seconds=seconds, unsteady=3.0)
+        scene = measured(unet, shown(CNN, 30.0), RISING)
+        assert not [c for c in judge_computation([scene]) if "time" in c.says]
+        assert any("time is not judged" in line for line in lines_beside([scene])[4])
+
+
+def test_a_training_that_was_cut_short_is_named():
+    run = trained_run([20.0], [20.0])
+    run.facts["recipe"]["epochs"] = 100
+    each = Trainings([run], 1.0)
+    claim = judge_training({CNN: each, UNET: each})
+    assert any("cut short: 1 of 100 epochs" in line for line in claim.beside)
+    assert any("cut short" in line for line in claim_lines([claim]))
 
 
 def test_every_field_is_judged_and_named():

@@ -288,6 +288,7 @@ WRONG = {
     "unknown display": ('display = "additive-4"', "unknown display 'additive-4'"),
     "no patches": ("patch = 2", "'stored.patch' is 2"),
     "two sources": ("[fields]\nfolder = 'x'\npatch = 24\n[judging]", "found [stored] and [fields]"),
+    "symmetries of a stored set": ("batch = 4\nsymmetries = true", "'symmetries' turns samples"),
     "not TOML": ("batch = = 4", "is not valid TOML"),
 }  # fmt: skip
 

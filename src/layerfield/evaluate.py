@@ -38,6 +38,8 @@ from layerfield.solvers.rounding import panel_codes
 from layerfield.synthesizer import find_method, pose, spelled, synthesize
 from layerfield.weights import WEIGHT_SUFFIX
 
+_STATUS = Path("/proc/self/status")  # of Linux
+
 
 @dataclass(frozen=True)
 class Figures:
@@ -262,7 +264,7 @@ def _measure(job: _Job) -> Row:
     if job.own_process:
         _warm_up(field, display, job)
     solution = synthesize(field, display, method=job.method, iterations=job.iterations)
-    peak = _peak_megabytes() if job.own_process else None
+    peak = peak_megabytes() if job.own_process else None
     codes = panel_codes(pose(field, display), solution.layers, bits=job.bits)
     layers = dequantise(codes)
     return Row(
@@ -286,7 +288,16 @@ def _warm_up(field: LightField, display: Display, job: _Job) -> None:
     synthesize(corner, display, method=job.method, iterations=min(job.iterations, 1))
 
 
-def _peak_megabytes() -> float:
+def peak_megabytes() -> float:
+    """Return the peak memory of this process, the interpreter and its libraries included.
+
+    Linux hands `ru_maxrss` on to the processes that one starts: a large parent would hide what a
+    small child takes. `VmHWM` begins anew with the program.
+    """
+    if _STATUS.is_file():
+        lines = _STATUS.read_text("utf-8").splitlines()
+        (peak,) = (line.split()[1] for line in lines if line.startswith("VmHWM"))
+        return int(peak) / 1024
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (1024**2 if sys.platform == "darwin" else 1024)
 

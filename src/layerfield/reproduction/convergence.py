@@ -68,7 +68,8 @@ def judge_training(trainings: Mapping[str, Trainings]) -> Claim:
         return Claim(1, missing=f"no runs of {' and '.join(missing)}; make them with {commands}")
     unet, cnn = _same_seeds(trainings[UNET], trainings[CNN])
     checks = [*_convergence(unet, cnn), *_generalisation(unet, cnn), *_budgets(unet, cnn)]
-    return Claim(1, tuple(checks), (_seeds(unet, cnn), *_all_figures(trainings)))
+    beside = (_seeds(unet, cnn), *_cut_short(trainings), *_all_figures(trainings))
+    return Claim(1, tuple(checks), beside)
 
 
 def _same_seeds(unet: Trainings, cnn: Trainings) -> tuple[Trainings, Trainings]:
@@ -157,6 +158,20 @@ def _seeds(unet: Trainings, cnn: Trainings) -> str:
 
 def _processors(unet: Trainings, cnn: Trainings) -> list[str]:
     return sorted({run.made_on for each in (unet, cnn) for run in each.runs})
+
+
+def _cut_short(trainings: Mapping[str, Trainings]) -> list[str]:
+    """Say which runs did not make the epochs of their recipe."""
+    lines = []
+    for name, each in trainings.items():
+        for run in each.runs:
+            made, wanted = run.history[-1]["epoch"], run.facts["recipe"].get("epochs", 0)
+            if made < wanted:
+                lines.append(
+                    f"{name}, seed {run.seed} was cut short: {made:.0f} of {wanted} epochs; "
+                    "whether it has converged is not known"
+                )
+    return lines
 
 
 def _all_figures(trainings: Mapping[str, Trainings]) -> list[str]:

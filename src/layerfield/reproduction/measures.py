@@ -59,6 +59,7 @@ class Shown:
         cost: in multiply-adds.
         parameters: of a network.
         megabytes: peak memory of a process that does nothing else, if measured.
+        unsteady: slowest over fastest of these runs.
     """
 
     contender: Contender
@@ -70,6 +71,7 @@ class Shown:
     cost: float
     parameters: int | None = None
     megabytes: float | None = None
+    unsteady: float = 1.0
 
     @property
     def view_spread(self) -> float:
@@ -200,6 +202,7 @@ def _show(each: Contender, field: LightField, display: Display, effort: Effort) 
 
     run(_corner(field))  # threads and libraries start outside the clock
     runs = [run(field) for _ in range(effort.repeats)]
+    seconds = [run.seconds for run in runs]
     layers, views = runs[0].layers, display(runs[0].layers)
     network = None if each.iterations is not None else kept_weights(each.method).network
     if network is None:
@@ -212,10 +215,11 @@ def _show(each: Contender, field: LightField, display: Display, effort: Effort) 
         psnr(views, field.views),
         psnr_by_view(views, field.views),
         layer_figures(layers),
-        statistics.median(run.seconds for run in runs),
+        statistics.median(seconds),
         cost,
         None if network is None else sum(p.numel() for p in network.parameters()),
         _memory(each.method, network is not None, field, display) if effort.memory else None,
+        max(seconds) / max(min(seconds), 1e-9),
     )
 
 
@@ -324,6 +328,7 @@ def _shown_record(shown: Shown) -> dict[str, Any]:
         "psnr_by_view": [finite(value) for value in shown.by_view],
         "layers": [layer._asdict() for layer in shown.figures],
         "seconds": shown.seconds,
+        "slowest_over_fastest": shown.unsteady,
         "operations": shown.cost,
         "parameters": shown.parameters,
         "peak_mb": shown.megabytes,

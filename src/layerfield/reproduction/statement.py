@@ -5,6 +5,8 @@ from typing import Any
 
 from layerfield.reproduction.claims import Claim
 
+_BUT = ("was cut short", "is not judged")  # of lines that nobody should miss
+
 
 def claims_text(claims: Sequence[Claim], record: dict[str, Any]) -> str:
     """Return claims.md: the table, the checks behind every verdict, what it was made from."""
@@ -28,6 +30,7 @@ def claim_lines(claims: Sequence[Claim]) -> list[str]:
         lines.append(f"{claim.number}. {claim.paper}: {claim.verdict.upper()}")
         lines += [f"   {claim.missing}"] if claim.missing else []
         lines += [f"   {_word(c.holds):3} {c.says}: {c.figures}" for c in claim.checks]
+        lines += [f"   but {line}" for line in claim.beside if any(w in line for w in _BUT)]
     return lines
 
 

@@ -199,6 +199,11 @@ class Recipe(_Table):
             raise ValueError(
                 f"expected one table of training data, [stored], [drawn] or [fields]; found {named}"
             )
+        if self.stored is not None and self.symmetries:
+            raise ValueError(
+                "'symmetries' turns samples of [drawn] and [fields]; those of [stored] "
+                "stay as they are: leave it out"
+            )
         return self
 
     @property

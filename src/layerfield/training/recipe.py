@@ -236,7 +236,9 @@ def read_recipe(name: str | Path) -> Recipe:
         text, source = (_RECIPES / f"{path.stem}.toml").read_text("utf-8"), path.stem
     else:
         near = did_you_mean(path.stem, recipe_names())
-        raise ValueError(f"unknown recipe '{name}'{near}; expected a TOML file or one that ships")
+        raise ValueError(
+            f"there is no file {name}, and no such recipe ships: unknown recipe '{path.stem}'{near}"
+        )
     return validated(Recipe, parse_toml(text, source), source)
 
 

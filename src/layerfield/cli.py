@@ -46,6 +46,7 @@ from layerfield.refusals import (
     own_file,
     refuse_device,
     refuse_repeats,
+    refuse_small,
     refuse_unknown,
     told_apart,
 )
@@ -305,12 +306,7 @@ def main() -> None:
 
 def _load(field: str, options: FieldOptions) -> LightField:
     loaded = load_light_field(field, options)
-    if min(loaded.size) < _SMALLEST:
-        height, width = loaded.size
-        raise ValueError(
-            f"the views of '{loaded.name}' are {width}x{height} px, expected at least "
-            f"{_SMALLEST}x{_SMALLEST}; take larger ones"
-        )
+    refuse_small(loaded, _SMALLEST)
     return loaded
 
 

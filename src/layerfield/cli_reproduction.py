@@ -9,7 +9,7 @@ import typer
 from layerfield.cli_options import Force, Out, with_field_options
 from layerfield.io import FieldOptions, load_light_field, refuse_existing
 from layerfield.light_field import LightField
-from layerfield.refusals import keep_inputs, refuse_unknown, told_apart
+from layerfield.refusals import keep_inputs, refuse_small, refuse_unknown, told_apart
 from layerfield.terminal import say, status
 
 REPEATS, MEMORY = 3, True  # how carefully time and memory are measured
@@ -71,10 +71,5 @@ def reproduce_command(
 
 def _load(path: str, options: FieldOptions) -> LightField:
     loaded = load_light_field(path, options)
-    if min(loaded.size) < _SMALLEST:
-        height, width = loaded.size
-        raise ValueError(
-            f"the views of '{loaded.name}' are {width}x{height} px, expected at least "
-            f"{_SMALLEST}x{_SMALLEST}; take larger ones"
-        )
+    refuse_small(loaded, _SMALLEST)
     return loaded

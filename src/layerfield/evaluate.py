@@ -3,15 +3,9 @@
 import dataclasses
 import json
 import math
-import multiprocessing
-import resource
-import signal
 import statistics
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -31,14 +25,13 @@ from layerfield.metrics import (
     psnr_by_view,
     ssim,
 )
+from layerfield.own_process import in_own_process, peak_megabytes
 from layerfield.panels import dequantise
 from layerfield.provenance import provenance
 from layerfield.reference import Reference, reference, store_reference
 from layerfield.solvers.rounding import panel_codes
 from layerfield.synthesizer import find_method, pose, spelled, synthesize
 from layerfield.weights import WEIGHT_SUFFIX
-
-_STATUS = Path("/proc/self/status")  # of Linux
 
 
 @dataclass(frozen=True)
@@ -201,7 +194,9 @@ def _compare(
         if tick is not None:
             tick(f"{field.name}, {display.name}: {spelled(name, iterations)}")
         job = _Job(field.views, field.grid, field.name, display.spec, name, iterations, bits)
-        rows.append(_in_own_process(job) if isolate else _measure(job))
+        rows.append(
+            in_own_process(_measure, replace(job, own_process=True)) if isolate else _measure(job)
+        )
     if tick is not None:
         tick(f"{field.name}, {display.name}: reference")
     found = reference(problem, tick=tick)
@@ -221,42 +216,6 @@ class _Job:
     iterations: int
     bits: int
     own_process: bool = False
-
-
-def _in_own_process(job: _Job) -> Row:
-    context = multiprocessing.get_context("spawn")
-    answers, answer = context.Pipe(duplex=False)
-    job = replace(job, own_process=True)
-    process = context.Process(target=_send, args=(answer, job), daemon=True)
-    with _interrupts_held_back():  # the process inherits this, so that only we answer Ctrl-C
-        process.start()
-    answer.close()
-    try:
-        found = answers.recv()
-    except EOFError:
-        raise MemoryError from None  # nothing else kills a process silently
-    finally:
-        process.kill()
-        process.join()
-    if isinstance(found, Exception):
-        raise found
-    return found
-
-
-def _send(answer: Connection, job: _Job) -> None:
-    try:
-        answer.send(_measure(job))
-    except Exception as error:
-        answer.send(error)
-
-
-@contextmanager
-def _interrupts_held_back() -> Iterator[None]:
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _measure(job: _Job) -> Row:
@@ -286,20 +245,6 @@ def _warm_up(field: LightField, display: Display, job: _Job) -> None:
     """Start threads and libraries on a corner of the field, so that the clock does not see it."""
     corner = replace(field, views=field.views[..., :32, :32].contiguous())
     synthesize(corner, display, method=job.method, iterations=min(job.iterations, 1))
-
-
-def peak_megabytes() -> float:
-    """Return the peak memory of this process, the interpreter and its libraries included.
-
-    Linux hands `ru_maxrss` on to the processes that one starts: a large parent would hide what a
-    small child takes. `VmHWM` begins anew with the program.
-    """
-    if _STATUS.is_file():
-        lines = _STATUS.read_text("utf-8").splitlines()
-        (peak,) = (line.split()[1] for line in lines if line.startswith("VmHWM"))
-        return int(peak) / 1024
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (1024**2 if sys.platform == "darwin" else 1024)
 
 
 def write_rows(path: Path, rows: Sequence[Row]) -> None:

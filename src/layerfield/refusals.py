@@ -62,3 +62,17 @@ def told_apart(loaded: list[LightField], paths: list[str]) -> list[LightField]:
     ]
     refuse_repeats("light fields", [field.name for field in apart])
     return apart
+
+
+def refuse_small(field: LightField, smallest: int) -> None:
+    """Refuse views with fewer pixels than this along an axis.
+
+    Raises:
+        ValueError: they are smaller.
+    """
+    if min(field.size) < smallest:
+        height, width = field.size
+        raise ValueError(
+            f"the views of '{field.name}' are {width}x{height} px, expected at least "
+            f"{smallest}x{smallest}; take larger ones"
+        )

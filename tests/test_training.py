@@ -274,6 +274,18 @@ def test_a_network_is_adapted_to_a_field(tmp_path, monkeypatch, whole):
     assert (after - field.views).square().mean() < (before - field.views).square().mean()
 
 
+def test_weights_of_another_network_are_not_adapted(tmp_path, monkeypatch, whole):
+    monkeypatch.chdir(tmp_path)
+    recipe(tmp_path, TINY.replace("width = 4", "width = 8"))
+    field = procedural_light_field(size=(40, 48), seed=5)
+    write_views(tmp_path / "views", field.views, Display.load("additive-3"), 8)
+    given = ["--weights", str(whole[TINY] / WEIGHTS), "--out", "adapted"]
+    done = run("train", "tiny.toml", "--adapt", "views", *given)
+    assert done.status == 2
+    assert "are of a unet {'width': 4, 'depth': 1}" in done.err
+    assert not (tmp_path / "adapted").exists()
+
+
 def layers_by(path: Path, field: LightField) -> torch.Tensor:
     return synthesize(field, Display.load("additive-3"), method=str(path)).layers
 

@@ -17,6 +17,7 @@ from layerfield.training.adapt import adaptation
 from layerfield.training.loop import Run, train
 from layerfield.training.recipe import read_recipe
 from layerfield.training.records import WEIGHTS, refuse_run
+from layerfield.training.start import network_for, refuse_other_network
 from layerfield.weights import find_shipped, load_shipped, read_weights
 
 
@@ -79,6 +80,7 @@ def _trained(run: Run, weights: Path | None) -> Network:
     else:
         found = read_weights(weights)
         found.refuse_other(run.display)
+    refuse_other_network(network_for(run.recipe, run.display), found, run.recipe)
     return found.network
 
 

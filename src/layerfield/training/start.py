@@ -64,7 +64,7 @@ def _begun(
     network = network_for(recipe, display)
     if recipe.start not in _STARTS:
         trained = _named_weights(recipe.start, folder)
-        _refuse_other_network(network, trained, recipe)
+        refuse_other_network(network, trained, recipe)
         network.load_state_dict(trained.network.state_dict())
         note = f"started from the weights {trained.name} (sha256 {trained.sha256})"
         return network, same_light_paths(trained.display, display), [note]
@@ -85,7 +85,12 @@ def _named_weights(name: str, folder: Path) -> TrainedNetwork:
     raise ValueError(f"'start' is '{name}', neither a way to start nor weights{near}")
 
 
-def _refuse_other_network(network: Network, trained: TrainedNetwork, recipe: Recipe) -> None:
+def refuse_other_network(network: Network, trained: TrainedNetwork, recipe: Recipe) -> None:
+    """Refuse weights that do not fit the network of a recipe.
+
+    Raises:
+        ValueError: another network, other options, views or layers; names both.
+    """
     found, expected = (
         {key: tuple(value.shape) for key, value in each.state_dict().items()}
         for each in (trained.network, network)
@@ -93,10 +98,10 @@ def _refuse_other_network(network: Network, trained: TrainedNetwork, recipe: Rec
     if found != expected:
         card = trained.card
         raise ValueError(
-            f"'start': the weights '{recipe.start}' are of a {card.network} {card.options} for "
+            f"the weights '{trained.name}' are of a {card.network} {card.options} for "
             f"{trained.network.views} views and {trained.network.layers} layers, the recipe's is a "
             f"{recipe.network} {recipe.options} for {network.views} views and {network.layers} "
-            "layers; start from others, or with 'even'"
+            "layers; take others"
         )
 
 

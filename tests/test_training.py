@@ -282,7 +282,8 @@ def test_weights_of_another_network_are_not_adapted(tmp_path, monkeypatch, whole
     given = ["--weights", str(whole[TINY] / WEIGHTS), "--out", "adapted"]
     done = run("train", "tiny.toml", "--adapt", "views", *given)
     assert done.status == 2
-    assert "are of a unet {'width': 4, 'depth': 1}" in done.err
+    assert "'weights' are of a unet (depth = 1, width = 4) for 25 views and 3 layers" in done.err
+    assert "the recipe's network is a unet (depth = 1, width = 8) for 25 views" in done.err
     assert not (tmp_path / "adapted").exists()
 
 

@@ -10,7 +10,7 @@ import hashlib
 import inspect
 import json
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -248,7 +248,7 @@ def _network(card: WeightsCard, display: Display, path: Path) -> Network:
             return make(display.view_count, display.layer_count, **card.options)
     except (ValueError, TypeError, ArithmeticError, RuntimeError):
         raise ValueError(
-            f"{path}: there is no '{card.network}' with the options {_listed(card.options)}"
+            f"{path}: there is no '{card.network}' with the options {listed(card.options)}"
         ) from None
 
 
@@ -262,8 +262,10 @@ def _refuse_unknown_options(card: WeightsCard, known: Iterable[str], path: Path)
             raise ValueError(f"{path}: option '{name}' is {value}, at most {_LARGEST_OPTION} is")
 
 
-def _listed(options: dict[str, int | bool]) -> str:
-    return ", ".join(f"{name} = {value}" for name, value in options.items()) or "of its own"
+def listed(options: Mapping[str, int | bool]) -> str:
+    """Return the options of a network in words."""
+    named = [f"{name} = {value}" for name, value in sorted(options.items())]
+    return ", ".join(named) or "of its own"
 
 
 def _refuse_misfits(found: dict[str, Tensor], expected: dict[str, Tensor], path: Path) -> None:

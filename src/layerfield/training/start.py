@@ -1,5 +1,6 @@
 """The network that a training starts from: drawn weights, or those of a trained one."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import torch
@@ -13,6 +14,7 @@ from layerfield.training.sources import Source
 from layerfield.weights import (
     WEIGHT_SUFFIX,
     TrainedNetwork,
+    listed,
     load_shipped,
     read_weights,
     same_light_paths,
@@ -96,13 +98,16 @@ def refuse_other_network(network: Network, trained: TrainedNetwork, recipe: Reci
         for each in (trained.network, network)
     )
     if found != expected:
-        card = trained.card
+        theirs = _described(trained.card.network, trained.card.options, trained.network)
         raise ValueError(
-            f"the weights '{trained.name}' are of a {card.network} {card.options} for "
-            f"{trained.network.views} views and {trained.network.layers} layers, the recipe's is a "
-            f"{recipe.network} {recipe.options} for {network.views} views and {network.layers} "
-            "layers; take others"
+            f"the weights '{trained.name}' are of a {theirs}, the recipe's network is a "
+            f"{_described(recipe.network, recipe.options, network)}; take others"
         )
+
+
+def _described(name: str, options: Mapping[str, int | bool], network: Network) -> str:
+    """Return a network in words: what it is and what goes in and out."""
+    return f"{name} ({listed(options)}) for {network.views} views and {network.layers} layers"
 
 
 def network_for(recipe: Recipe, display: Display) -> Network:

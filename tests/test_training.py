@@ -25,6 +25,7 @@ from layerfield.training.recipe import Loss, read_recipe, recipe_names
 from layerfield.training.records import CHECKPOINT, WEIGHTS, open_run, read_history
 from layerfield.training.sources import source_of, turned
 from layerfield.training.start import starting_network
+from layerfield.weights import read_weights
 
 TINY = """
 name = "tiny"
@@ -118,15 +119,21 @@ def test_a_joint_turn_is_a_light_field_of_the_same_display():
 
 @pytest.mark.parametrize("link", LINKS)
 @pytest.mark.parametrize("regulariser", ["range", "energy"])
-def test_the_loss_is_its_formula(link, regulariser):
+@pytest.mark.parametrize("clamped", [False, True])
+def test_the_loss_is_its_formula(link, regulariser, clamped):
     display = Display.load(f"{link}-3")
     network = UNet(25, 3, width=4, depth=1)
     initialise(network, torch.Generator().manual_seed(3))
     views = torch.rand(2, 25, 16, 16)
-    loss = Objective(network, display, Loss(regulariser=regulariser, weight=0.7))(views)
+    with torch.no_grad():
+        network.last.weight *= 3  # so that some values are above 1
+    chosen = Loss(regulariser=regulariser, weight=0.7, clamped=clamped)
+    loss = Objective(network, display, chosen)(views)
     padded = torch.nn.functional.pad(views, (2, 2, 2, 2), mode="replicate")
     values = network.pixels(padded)
-    shown = display(values.relu()[:, None, :, None])[:, :, 0]
+    assert (values > 1).any()
+    light = values.clamp(0, 1) if clamped else values.relu()
+    shown = display(light[:, None, :, None])[:, :, 0]
     error = ((shown - views) ** 2).mean()
     outside = torch.where(values > 1, values - 1, torch.where(values < 0, values, 0.0))
     penalty = outside if regulariser == "range" else values
@@ -375,6 +382,31 @@ def test_a_stack_may_hand_on_its_input():
     hand_on(network, share=0.0)
     views = torch.rand(1, 25, 12, 12)
     assert torch.equal(network.stack(views)[:, :25], views)
+
+
+def test_a_deep_stack_may_start_from_a_shallow_one(tmp_path, monkeypatch):
+    """At first it gives the same layers; then it learns."""
+    monkeypatch.chdir(tmp_path)
+    shallow = TINY.replace('"unet"', '"stacked-cnn"').replace("depth = 1", "modules = 2")
+    recipe(tmp_path, shallow)
+    assert run("train", "tiny.toml", "--out", "shallow").status == 0
+    deep = shallow.replace("modules = 2", "modules = 5").replace(
+        '"even"', '"shallow/weights.safetensors"'
+    )
+    chosen = recipe(tmp_path, deep)
+    display = Display.load(chosen.display)
+    source = source_of(chosen, display, tmp_path, CPU)
+    network, notes = starting_network(chosen, display, source, tmp_path)
+    assert notes[1] == "deepened from 2 to 5 modules"
+    known = read_weights(tmp_path / "shallow" / WEIGHTS).network
+    views = source.batch(0, 4)
+    assert torch.equal(network.pixels(views), known.pixels(views))
+    done = run("train", "tiny.toml", "--out", "deep")
+    assert done.status == 0
+    assert "deepened from 2 to 5 modules" in done.out
+    wider = recipe(tmp_path, deep.replace("width = 4", "width = 8"))
+    with pytest.raises(ValueError, match=r"modules = 2, width = 4.*modules = 5, width = 8"):
+        starting_network(wider, display, source, tmp_path)
 
 
 @pytest.mark.parametrize("start", ["evne", "none.safetensors", "other"])

@@ -194,12 +194,13 @@ class Trainer:
 
     def _resume(self) -> None:
         found = read_checkpoint(self.run.out / CHECKPOINT)
-        given, stored = self.recipe.model_dump(mode="json"), found.facts["recipe"]
-        for key in given:
-            if key != "epochs" and given[key] != stored.get(key):
+        given, stored = self.recipe, Recipe.model_validate(found.facts["recipe"])
+        for key in Recipe.model_fields:
+            then, now = getattr(stored, key), getattr(given, key)
+            if key != "epochs" and then != now:
                 raise ValueError(
-                    f"{self.run.out} was trained with another recipe: '{key}' was "
-                    f"{stored.get(key)}, now it is {given[key]}; give another --out"
+                    f"{self.run.out} was trained with another recipe: '{key}' was {then}, now it "
+                    f"is {now}; give another --out"
                 )
         restore(found.tensors, self.network, self.optimisers)
         self.history, self.notes = found.facts["history"], found.facts["notes"]

@@ -1,5 +1,7 @@
 """What training minimises: how far layers are from showing the views, and pixel values at bay."""
 
+import math
+
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -17,9 +19,11 @@ class Objective(nn.Module):
 
     E = ||link_k (A relu(P))_k - L||^2 / n + weight * R(P), P = network(L)
 
-    R is the mean of relu(P - 1)^2 + relu(-P)^2 (`range`) or of P^2 (`energy`). P is what the
-    network says before its closing ReLU: behind it relu(-P) would be nothing, and a layer that is
-    dark everywhere would get no gradient and stay dark for good. Views are not clipped.
+    With `clamped`, min(relu(P), 1) stands for relu(P), as at synthesis: what is above 1 shows
+    nothing more, and only R brings it back. R is the mean of relu(P - 1)^2 + relu(-P)^2 (`range`)
+    or of P^2 (`energy`). P is what the network says before its closing ReLU: behind it relu(-P)
+    would be nothing, and a layer that is dark everywhere would get no gradient and stay dark for
+    good. Views are not clipped.
 
     Args:
         network: to be trained.
@@ -37,11 +41,12 @@ class Objective(nn.Module):
         self.error = _ERRORS[loss.error]
         self.regulariser = _REGULARISERS[loss.regulariser]
         self.weight = loss.weight
+        self.most = 1.0 if loss.clamped else math.inf
 
     def forward(self, views: Float[Tensor, "batch view y x"]) -> Float[Tensor, ""]:
         """Return the loss of a batch of samples, one colour channel each."""
         values = pixels(self.network, views, self.display.margin).float()
-        shown = shown_by(self.display, values.relu())
+        shown = shown_by(self.display, values.clamp(0, self.most))
         squares = (shown - views).square().mean(dim=(1, 2, 3))
         return self.error(squares) + self.weight * self.regulariser(values)
 

@@ -97,11 +97,14 @@ class Loss(_Table):
         error: `mean`, the mean square error of the batch as in the paper, or `log`, the mean
             logarithm of the mean square errors of the samples: dark and easy samples then count
             as much as difficult ones, as they do in PSNR.
+        clamped: layers show no more than 1, as at synthesis, not what the network says, as in the
+            paper. Where layers multiply, values above 1 would be worth too much.
     """
 
     regulariser: Literal["range", "energy"] = "range"
     weight: NotNegative = 0.1
     error: Literal["mean", "log"] = "mean"
+    clamped: bool = False
 
 
 class Optimiser(_Table):
@@ -155,6 +158,7 @@ class Recipe(_Table):
             so that all layers share what is shown, `identity`: besides, every convolution but
             the last hands on what it gets, plus a share of what was drawn. Or else the name of
             shipped weights, or a weight file, of such a network: it learns from what it knows.
+            A stacked CNN may start from one of fewer modules.
         symmetries: transpose or half-turn samples at random, image and view grid together. (One
             without the other would change the mapping from angles to depths.)
         precision: of convolutions, `fp32` or `bf16`; weights and losses are fp32.

@@ -1,13 +1,14 @@
 """The network that a training starts from: drawn weights, or those of a trained one."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import torch
 
 from layerfield.display import Display
 from layerfield.nearest import did_you_mean
-from layerfield.networks import NETWORKS, Network
+from layerfield.networks import NETWORKS, Network, StackedCnn, deepened
 from layerfield.networks.network import dead_layers, hand_on, initialise, level, reseed
 from layerfield.training.recipe import Recipe
 from layerfield.training.sources import Source
@@ -66,10 +67,14 @@ def _begun(
     network = network_for(recipe, display)
     if recipe.start not in _STARTS:
         trained = _named_weights(recipe.start, folder)
+        notes = [f"started from the weights {trained.name} (sha256 {trained.sha256})"]
+        match network, trained.network:
+            case StackedCnn(depth=deep), StackedCnn(depth=shallow) as known if shallow < deep:
+                trained = replace(trained, network=deepened(known, deep))
+                notes.append(f"deepened from {shallow} to {deep} modules")
         refuse_other_network(network, trained, recipe)
         network.load_state_dict(trained.network.state_dict())
-        note = f"started from the weights {trained.name} (sha256 {trained.sha256})"
-        return network, same_light_paths(trained.display, display), [note]
+        return network, same_light_paths(trained.display, display), notes
     initialise(network, generator)
     if recipe.start == "identity":
         hand_on(network)

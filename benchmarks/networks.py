@@ -28,7 +28,7 @@ _SCENES, _SIZE = 8, 128
 
 def main(out: Path) -> None:
     records = []
-    for preset in ("additive-3", "multiplicative-3"):
+    for preset in ("additive-3", "multiplicative-3", "perspective-3"):
         display = Display.load(preset)
         networks = shipped_networks(display)
         if not networks:

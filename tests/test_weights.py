@@ -328,6 +328,22 @@ def test_the_default_is_taken_where_several_fit(stocked):
     assert find_shipped("unet", ADDITIVE).name == "plain"
 
 
+def test_shipped_weights_are_methods_by_name(stocked):
+    plain, best = (
+        entry(stocked / "tiny-unet.safetensors", "unet", name=name, default=name == "best")
+        for name in ("plain", "best")
+    )
+    register(stocked, plain, best)
+    field = LightField(torch.rand(25, 1, 12, 12), (5, 5))
+    assert torch.equal(*(synthesize(field, ADDITIVE, method=m).layers for m in ("plain", "unet")))
+    chain = synthesize(field, ADDITIVE, method="plain+sweeps", iterations=1)
+    assert chain.iterations == 1
+    with pytest.raises(ValueError, match="trained for 'additive-3'"):
+        synthesize(field, Display.load("multiplicative-3"), method="plain")
+    with pytest.raises(ValueError, match="unknown method 'plin'; did you mean 'plain'"):
+        synthesize(field, ADDITIVE, method="plin")
+
+
 def test_shipped_weights_are_loaded_once_and_again_when_they_change(stocked):
     found = find_shipped("unet", ADDITIVE)
     first = load_shipped(found)

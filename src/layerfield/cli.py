@@ -277,8 +277,11 @@ def methods() -> None:
         links = ", ".join(method.links)
         lines.append([method.name, str(method.iterations), links, method.summary])
     print_lines(lines)
-    say("FILE.safetensors is the network of a weight file; NETWORK+SOLVER is a network followed by")
-    say(f"{CHAIN_ITERATIONS} iterations of a solver, as unet+fourier-admm")
+    say("a name that `layerfield weights` lists, or FILE.safetensors, is the network with these")
+    say(
+        f"weights; NETWORK+SOLVER is a network followed by {CHAIN_ITERATIONS} iterations of a solver,"
+    )
+    say("as unet+fourier-admm")
 
 
 app.command(name="train")(train_command)
@@ -294,7 +297,7 @@ def weights_command() -> None:
         return
     lines = [["name", "network", "display", "MB", "scores", "recipe"]]
     for entry in entries:
-        display, size = entry.trained_for.name, f"{entry.megabytes:.1f}"
+        display, size = entry.trained_for.name, f"{entry.megabytes:g}"
         lines.append([entry.name, entry.network, display, size, entry.scores, entry.recipe])
     print_lines(lines)
 

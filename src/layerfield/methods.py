@@ -18,6 +18,7 @@ from layerfield.networks import Network
 from layerfield.networks.frame import tiled_pixels
 from layerfield.solve import Clock, Problem, Solution, Solver, State, solve
 from layerfield.weights import (
+    Entry,
     TrainedNetwork,
     find_shipped,
     kept_weights,
@@ -150,6 +151,17 @@ class NetworkMethod(Method):
             return load_shipped(find_shipped(network, display))
 
         return cls(network, summary, 0, tuple(LINKS), find)
+
+    @classmethod
+    def of_entry(cls, entry: Entry) -> "NetworkMethod":
+        """Return the method that takes certain weights of those that come with the package."""
+
+        def find(display: Display) -> TrainedNetwork:
+            trained = load_shipped(entry)
+            trained.refuse_other(display)
+            return trained
+
+        return cls(entry.name, f"the {entry.network} {entry.name}", 0, tuple(LINKS), find)
 
     @classmethod
     def of_file(cls, name: str) -> "NetworkMethod":

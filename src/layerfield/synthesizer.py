@@ -1,6 +1,7 @@
 """Method name to synthesizer: one call for every way to make layers from a light field.
 
 NAME                 a solver, or a network with the weights that come with the package
+WEIGHTS              the network of certain weights of those, by their name
 FILE.safetensors     the network of a weight file
 NETWORK+SOLVER       a network, then iterations of a solver that start from its layers
 """
@@ -23,7 +24,7 @@ from layerfield.solvers.gradient import Gradient
 from layerfield.solvers.nmf import Nmf
 from layerfield.solvers.sart import Sart
 from layerfield.solvers.sweeps import Sweeps
-from layerfield.weights import PICKLE_SUFFIXES, WEIGHT_SUFFIX
+from layerfield.weights import PICKLE_SUFFIXES, WEIGHT_SUFFIX, shipped
 
 
 @runtime_checkable
@@ -65,7 +66,7 @@ _CHAIN = "expected NETWORK+SOLVER, as unet+fourier-admm"
 
 
 def find_method(name: str) -> Method:
-    """Return the method of that name, weight file or chain.
+    """Return the method of that name, shipped weights, weight file or chain.
 
     Raises:
         ValueError: no such method, with the nearest name; or a chain that is not a network
@@ -81,7 +82,10 @@ def find_method(name: str) -> Method:
         return ChainMethod.of(_network(first, name), _solver(last, name))
     if _is_file(name):
         return NetworkMethod.of_file(name)
-    raise ValueError(f"unknown method '{name}'{did_you_mean(name, METHODS)}")
+    entries = {entry.name: entry for entry in shipped()}
+    if name in entries:
+        return NetworkMethod.of_entry(entries[name])
+    raise ValueError(f"unknown method '{name}'{did_you_mean(name, [*METHODS, *entries])}")
 
 
 def _is_file(name: str) -> bool:
@@ -91,13 +95,14 @@ def _is_file(name: str) -> bool:
 
 
 def _network(name: str, chain: str) -> NetworkMethod:
-    found = find_method(name) if name in METHODS or _is_file(name) else None
-    if isinstance(found, NetworkMethod):
-        return found
-    if found is not None:
+    if name in SOLVERS:
         raise ValueError(f"'{name}' in '{chain}' is a solver; {_CHAIN}")
-    near = did_you_mean(name, [network.name for network in _NETWORKS])
-    raise ValueError(f"unknown network '{name}' in '{chain}'{near}")
+    known = [method.name for method in _NETWORKS] + [entry.name for entry in shipped()]
+    if name in known or _is_file(name):
+        found = find_method(name)
+        assert isinstance(found, NetworkMethod)
+        return found
+    raise ValueError(f"unknown network '{name}' in '{chain}'{did_you_mean(name, known)}")
 
 
 def _solver(name: str, chain: str) -> SolverMethod:

@@ -277,11 +277,9 @@ def methods() -> None:
         links = ", ".join(method.links)
         lines.append([method.name, str(method.iterations), links, method.summary])
     print_lines(lines)
-    say("a name that `layerfield weights` lists, or FILE.safetensors, is the network with these")
-    say(
-        f"weights; NETWORK+SOLVER is a network followed by {CHAIN_ITERATIONS} iterations of a solver,"
-    )
-    say("as unet+fourier-admm")
+    say("A name that `layerfield weights` lists, or FILE.safetensors, is the network with those")
+    say("weights. NETWORK+SOLVER, as unet+fourier-admm, is a network followed by")
+    say(f"{CHAIN_ITERATIONS} iterations of a solver.")
 
 
 app.command(name="train")(train_command)

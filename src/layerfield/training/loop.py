@@ -81,7 +81,7 @@ def train(run: Run) -> dict[str, Any]:
     """
     from lightning.fabric import Fabric  # noqa: PLC0415, it takes seconds
 
-    logging.getLogger("lightning.fabric").setLevel(logging.WARNING)  # it prints what was asked for
+    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)  # it repeats the precision
     several = run.devices > 1
     launched = "WORLD_SIZE" in os.environ  # by torchrun or a cluster, a process for each device
     fabric = Fabric(

@@ -19,6 +19,7 @@ from layerfield.io import load_light_field
 from layerfield.metrics import LayerFigures
 from layerfield.networks import StackedCnn, UNet
 from layerfield.reference import Reference
+from layerfield.report.plots import Level, Panel, chart
 from layerfield.reproduction import convergence, gao2024
 from layerfield.reproduction import runs as reproduction_runs
 from layerfield.reproduction.ablations import Scale, ablate, contrast, rotated, scaled
@@ -463,6 +464,15 @@ def test_images_are_changed_and_the_view_grid_is_not():
     assert any(torch.equal(quarter, samples.rot90(k, (-2, -1))) for k in range(4))
     larger = scaled(samples, torch.Generator().manual_seed(0))
     assert larger.shape == samples.shape
+
+
+def test_a_legend_is_as_wide_as_its_figure_at_most():
+    levels = [Level(f"stacked CNN, better trained: 31.4{n} dB", n, "#000000") for n in range(6)]
+    figure = chart("title", [Panel("panel", "iterations", "dB", [], levels)])
+    (legend,) = figure.legends
+    assert legend.get_window_extent().x0 > 0
+    assert legend.get_window_extent().x1 < figure.bbox.width
+    assert [text.get_text() for text in legend.get_texts()] == [each.label for each in levels]
 
 
 def test_contrast_is_what_is_left_of_the_deviation():

@@ -1,8 +1,9 @@
 """Charts and sheets of pictures, drawn with matplotlib's objects; nothing is kept between them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -15,6 +16,7 @@ from torch import Tensor
 _DPI = 110
 _INK, _MUTED, _GRID = "#191c21", "#5f646e", "#dddfe3"
 _TITLE, _TEXT, _SMALL = 12, 10, 9  # points
+_MOST_COLUMNS = 4  # of a legend
 
 
 @dataclass(frozen=True)
@@ -88,11 +90,21 @@ def chart(title: str, panels: Sequence[Panel], *, log_y: bool = False) -> Figure
             axes.set_yscale("log")
         handles |= {str(h.get_label()): h for h in axes.lines if not _hidden(h)}
     all_axes[0].set_ylabel(panels[0].y_label, fontsize=_TEXT)
-    figure.legend(
-        handles.values(), list(handles), loc="outside lower center", frameon=False,
-        ncols=min(len(handles), 3 if len(panels) == 1 else 4), fontsize=_SMALL,
-    )  # fmt: skip
+    _legend_below(figure, handles)
     return figure
+
+
+def _legend_below(figure: Figure, handles: Mapping[str, Any]) -> None:
+    """Put a legend below, in as many columns as the figure is wide."""
+    for columns in range(min(len(handles), _MOST_COLUMNS), 0, -1):
+        legend = figure.legend(
+            handles.values(), list(handles), loc="outside lower center", frameon=False,
+            ncols=columns, fontsize=_SMALL,
+        )  # fmt: skip
+        figure.draw_without_rendering()
+        if columns == 1 or legend.get_window_extent().width <= figure.bbox.width:
+            return
+        legend.remove()
 
 
 def _hidden(line: Line2D) -> bool:
@@ -238,10 +250,7 @@ def stacked_bars(title: str, panels: Sequence[Bars], parts: Sequence[str]) -> Fi
         axes.tick_params(labelsize=_SMALL)
         axes.spines[["top", "right"]].set_visible(False)
     handles, labels = all_axes[0].get_legend_handles_labels()
-    figure.legend(
-        handles, labels, loc="outside lower center", frameon=False, ncols=len(parts),
-        fontsize=_SMALL,
-    )  # fmt: skip
+    _legend_below(figure, dict(zip(labels, handles, strict=True)))
     return figure
 
 

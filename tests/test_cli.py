@@ -907,9 +907,13 @@ def test_unforeseen_errors_are_not_hidden(desk, monkeypatch):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_an_interrupt_while_it_computes(desk, monkeypatch, number):
-    before = contents(desk)
+    before, handler = contents(desk), signal.getsignal(number)
     monkeypatch.setattr(cli, "synthesize", lambda *_, **__: os.kill(os.getpid(), number))
-    fails(run(*SYNTH), "interrupted", "nothing is half-written")
+    signal.signal(number, signal.SIG_DFL)  # the tests themselves may run under nohup
+    try:
+        fails(run(*SYNTH), "interrupted", "nothing is half-written")
+    finally:
+        signal.signal(number, handler)
     assert contents(desk) == before
 
 
@@ -954,6 +958,17 @@ def test_an_interrupt_while_it_writes(desk, number):
     process.send_signal(number)  # impatience
     fails(finish(process), "interrupted")
     assert contents(desk) == before
+
+
+def test_ctrl_c_is_answered_by_one_process_only():
+    """Also by the first that is started, with which Python starts one more."""
+    script = """
+import signal
+from layerfield.own_process import in_own_process
+print(in_own_process(signal.pthread_sigmask, signal.SIG_BLOCK, []) == {signal.SIGINT})
+"""
+    said = subprocess.run([sys.executable, "-c", script], check=True, capture_output=True)
+    assert said.stdout == b"True\n"
 
 
 def test_ctrl_c_reaches_the_processes_of_evaluate(desk):

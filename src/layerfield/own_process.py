@@ -6,6 +6,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import ParamSpec, TypeVar
@@ -34,6 +35,7 @@ def in_own_process(
     context = multiprocessing.get_context("spawn")
     answers, answer = context.Pipe(duplex=False)
     process = context.Process(target=_send, args=(answer, work, args, kwargs), daemon=True)
+    resource_tracker.ensure_running()  # started by start(), it would let interrupts through again
     with _interrupts_held_back():  # the process inherits this, so that only we answer Ctrl-C
         process.start()
     answer.close()

@@ -155,24 +155,24 @@ class NetworkMethod(Method):
     @classmethod
     def of_entry(cls, entry: Entry) -> "NetworkMethod":
         """Return the method that takes certain weights of those that come with the package."""
-
-        def find(display: Display) -> TrainedNetwork:
-            trained = load_shipped(entry)
-            trained.refuse_other(display)
-            return trained
-
-        return cls(entry.name, f"the {entry.network} {entry.name}", 0, tuple(LINKS), find)
+        return cls._of(entry.name, f"the {entry.network} {entry.name}", lambda: load_shipped(entry))
 
     @classmethod
     def of_file(cls, name: str) -> "NetworkMethod":
         """Return the method that takes the weights of a file, which is read when needed."""
+        summary = "the network of a weight file"
+        return replace(cls._of(name, summary, lambda: kept_weights(name)), path=Path(name))
+
+    @classmethod
+    def _of(cls, name: str, summary: str, load: Callable[[], TrainedNetwork]) -> "NetworkMethod":
+        """Return the method that takes the same weights for every display."""
 
         def find(display: Display) -> TrainedNetwork:
-            trained = kept_weights(name)
+            trained = load()
             trained.refuse_other(display)
             return trained
 
-        return cls(name, "the network of a weight file", 0, tuple(LINKS), find, Path(name))
+        return cls(name, summary, 0, tuple(LINKS), find)
 
     @property
     def title(self) -> str:

@@ -18,6 +18,7 @@ from layerfield.links import LINKS
 from layerfield.networks import NETWORKS, StackedCnn, UNet
 from layerfield.networks.network import dead_layers, hand_on, initialise, level, reseed
 from layerfield.result import write_views
+from layerfield.training.checkpoint import read_checkpoint, write_checkpoint
 from layerfield.training.loop import Run, train
 from layerfield.training.muon import orthogonal
 from layerfield.training.objective import Objective
@@ -188,6 +189,28 @@ def test_a_resumed_training_ends_where_an_uninterrupted_one_does(tmp_path, whole
     rows = [read_history(folder) for folder in (whole[text], tmp_path / "parts")]
     for one, other in zip(*rows, strict=True):
         assert {**one, "seconds": 0} == {**other, "seconds": 0}
+
+
+def test_recipes_in_checkpoints_may_be_older_but_not_others(tmp_path, monkeypatch):
+    """A key added since then has its default; one that is no longer known is one line."""
+    monkeypatch.chdir(tmp_path)
+    trained(tmp_path, "parts", TINY.replace("epochs = 3", "epochs = 1"))
+    path = tmp_path / "parts" / CHECKPOINT
+    found = read_checkpoint(path)
+    del found.facts["recipe"]["loss"]["clamped"]
+    write_checkpoint(path, found)
+    recipe(tmp_path, TINY.replace("epochs = 3", "epochs = 2"))
+    resumed = ["train", "tiny.toml", "--out", "parts", "--resume"]
+    assert run(*resumed).status == 0
+    recipe(tmp_path, TINY.replace("batch = 4", "batch = 5"))
+    assert "another recipe: 'batch' was 4, now it is 5; give another --out" in run(*resumed).err
+    found.facts["recipe"]["loss"]["tone"] = 1
+    write_checkpoint(path, found)
+    wrong = run(*resumed)
+    assert (wrong.status, wrong.out) == (2, "")
+    assert wrong.err == "layerfield: the recipe in parts: unknown key 'loss.tone'" + (
+        "; known are clamped, error, regulariser, weight\n"
+    )
 
 
 def test_tensorboard_reads_a_run_and_its_files_name_no_machine(tmp_path):

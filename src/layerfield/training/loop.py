@@ -14,6 +14,7 @@ import torch
 
 from layerfield.display import Display
 from layerfield.networks import Network
+from layerfield.toml_model import validated
 from layerfield.training.checkpoint import (
     Checkpoint,
     read_checkpoint,
@@ -196,7 +197,8 @@ class Trainer:
 
     def _resume(self) -> None:
         found = read_checkpoint(self.run.out / CHECKPOINT)
-        given, stored = self.recipe, Recipe.model_validate(found.facts["recipe"])
+        given = self.recipe
+        stored = validated(Recipe, found.facts["recipe"], f"the recipe in {self.run.out}")
         for key in Recipe.model_fields:
             then, now = getattr(stored, key), getattr(given, key)
             if key != "epochs" and then != now:

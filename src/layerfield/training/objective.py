@@ -46,7 +46,7 @@ class Objective(nn.Module):
     def forward(self, views: Float[Tensor, "batch view y x"]) -> Float[Tensor, ""]:
         """Return the loss of a batch of samples, one colour channel each."""
         values = pixels(self.network, views, self.display.margin).float()
-        shown = shown_by(self.display, values.clamp(0, self.most))
+        shown = shown_by(self.display, values.relu().clamp(max=self.most))
         squares = (shown - views).square().mean(dim=(1, 2, 3))
         return self.error(squares) + self.weight * self.regulariser(values)
 

@@ -141,14 +141,16 @@ def test_the_loss_is_its_formula(link, regulariser, clamped):
     assert torch.allclose(loss, error + 0.7 * (penalty**2).mean(), rtol=1e-5)
 
 
+@pytest.mark.parametrize("densities", [False, True])
 @pytest.mark.parametrize("name", NETWORKS)
-def test_dead_layers_are_found_and_drawn_anew(name):
-    network = NETWORKS[name](25, 3, width=4)
+def test_dead_layers_are_found_and_drawn_anew(name, densities):
+    network = NETWORKS[name](25, 3, width=4, densities=densities)
     generator = torch.Generator().manual_seed(0)
     initialise(network, generator)
     views = torch.rand(2, 25, 16, 16)
     level(network, views, 0.2)
-    means = network.pixels(views).mean(dim=(0, 2, 3))
+    logarithms = network.pixels(views).log().mean(dim=(0, 2, 3)).exp()
+    means = logarithms if densities else network.pixels(views).mean(dim=(0, 2, 3))
     assert torch.allclose(means, torch.full((3,), 0.2), atol=1e-5)
     with torch.no_grad():
         network.last.weight[1] = -network.last.weight[1].abs()
@@ -397,6 +399,33 @@ def test_a_training_may_start_from_trained_weights(tmp_path, whole):
     network, _ = starting_network(chosen, display, source, tmp_path)
     mean = network.pixels(source.batch(0, 4)).mean(dim=(0, 2, 3))
     assert torch.allclose(mean, source.batch(0, 4).mean().pow(1 / 3).expand(3), atol=1e-5)
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_a_network_on_densities_adds_what_multiplies(name):
+    """The logarithm of its layers is what the same weights make of the views' logarithms."""
+    plain, dense = (NETWORKS[name](25, 3, width=4, densities=d) for d in (False, True))
+    dense.load_state_dict(plain.state_dict())
+    views = torch.rand(2, 25, 16, 16)
+    views[:, :, 0, 0] = 0
+    views[:, :, 0, 1] = 1
+    logarithms = views.clamp(min=1 / 128).log() / -(7 * torch.tensor(2.0).log())
+    assert logarithms.max() == 1
+    assert logarithms.min() == 0
+    expected = 128 ** -plain.pixels(logarithms)
+    assert torch.allclose(dense.pixels(views), expected, rtol=1e-5)
+    assert dense(views).isfinite().all()
+
+
+def test_weights_that_add_start_those_that_multiply_as_they_are(tmp_path, whole):
+    text = TINY.replace("additive-3", "multiplicative-3").replace(
+        '"even"', f'"{whole[TINY] / WEIGHTS}"'
+    )
+    chosen = recipe(tmp_path, text.replace("depth = 1", "depth = 1, densities = true"))
+    display = Display.load(chosen.display)
+    source = source_of(chosen, display, tmp_path, CPU)
+    network, _ = starting_network(chosen, display, source, tmp_path)
+    assert torch.equal(network.last.weight, load_file(whole[TINY] / WEIGHTS)["last.weight"])
 
 
 def test_a_stack_may_hand_on_its_input():

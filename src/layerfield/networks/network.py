@@ -7,6 +7,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+_DARKEST = 1 / 128  # the value that has density 1; densities of darker ones are no higher
+
 
 class Network(nn.Module):
     """A network from the views of one colour channel to the layers of one display.
@@ -14,6 +16,9 @@ class Network(nn.Module):
     Args:
         views: number of views, the channels that go in.
         layers: number of layers, the channels that come out.
+        densities: what goes in and what comes out are optical densities D = log V / log V_min of
+            the values V. Where layers multiply, densities add: the network has the same to learn
+            as for layers that add, and the ReLU at its end lets no layer exceed 1.
 
     Attributes:
         multiple: height and width of what goes in must be multiples of this.
@@ -24,18 +29,33 @@ class Network(nn.Module):
     reach: int = 0
     last: nn.Conv2d
 
-    def __init__(self, views: int, layers: int) -> None:
+    def __init__(self, views: int, layers: int, *, densities: bool = False) -> None:
         super().__init__()
         self.views = views
         self.layers = layers
+        self.densities = densities
+
+    def answer(self, seen: Float[Tensor, "batch view y x"]) -> Float[Tensor, "batch layer y x"]:
+        """Return what the convolutions make of views, values or densities, without closing ReLU."""
+        raise NotImplementedError
+
+    def seen(self, values: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
+        """Return values as the convolutions take them."""
+        return density(values) if self.densities else values
 
     def pixels(self, views: Float[Tensor, "batch view y x"]) -> Float[Tensor, "batch layer y x"]:
         """Return pixel values before the closing ReLU; the regulariser sees those."""
-        raise NotImplementedError
+        answer = self.answer(self.seen(views))
+        return (answer * math.log(_DARKEST)).exp() if self.densities else answer
 
     def forward(self, views: Float[Tensor, "batch view y x"]) -> Float[Tensor, "batch layer y x"]:
         """Return layers, at least 0; values above 1 are clamped at synthesis."""
         return self.pixels(views).relu()
+
+
+def density(values: Tensor) -> Tensor:
+    """Return the optical densities of values: 0 for white, 1 for 1/128 and for what is darker."""
+    return values.clamp(min=_DARKEST).log() / math.log(_DARKEST)
 
 
 def convolutions(*channels: int) -> nn.Sequential:
@@ -83,7 +103,7 @@ def dead_layers(
 ) -> list[int]:
     """Return the layers of which less than a share of the pixels is above 0: they cannot learn."""
     with torch.no_grad():
-        alive = (network.pixels(views) > 0).float().mean(dim=(0, 2, 3))
+        alive = (network.answer(network.seen(views)) > 0).float().mean(dim=(0, 2, 3))
     return [k for k, found in enumerate(alive.tolist()) if found < share]
 
 
@@ -98,12 +118,13 @@ def reseed(network: Network, layers: list[int], generator: torch.Generator) -> N
 
 
 def level(network: Network, views: Float[Tensor, "batch view y x"], target: float) -> None:
-    """Scale every output channel so that its mean on these views is the target.
+    """Scale every output channel so that its mean on these views is the target, a pixel value.
 
     A channel whose mean is negative changes its sign: the weights stay as uniform as they were.
     """
     assert network.last.bias is not None
     with torch.no_grad():
-        mean = network.pixels(views).mean(dim=(0, 2, 3))
+        target = network.seen(torch.tensor(target)).item()
+        mean = network.answer(network.seen(views)).mean(dim=(0, 2, 3))
         network.last.weight *= (target / mean)[:, None, None, None]
         network.last.bias *= target / mean

@@ -14,6 +14,7 @@ class StackedCnn(Network):
         layers: number of layers.
         width: channels of every module.
         modules: how many.
+        densities: see `Network`.
 
     Attributes:
         depth: number of modules.
@@ -22,8 +23,16 @@ class StackedCnn(Network):
         Gao et al. 2024, section 3, after Maruyama et al. (the paper's reference 4).
     """
 
-    def __init__(self, views: int, layers: int, *, width: int = 64, modules: int = 19) -> None:
-        super().__init__(views, layers)
+    def __init__(
+        self,
+        views: int,
+        layers: int,
+        *,
+        width: int = 64,
+        modules: int = 19,
+        densities: bool = False,
+    ) -> None:
+        super().__init__(views, layers, densities=densities)
         self.depth = modules
         self.reach = modules + 1
         self.stack = convolutions(views, *[width] * modules)
@@ -34,8 +43,8 @@ class StackedCnn(Network):
         """The convolutions of the modules, first to last."""
         return [module for module in self.stack if isinstance(module, nn.Conv2d)]
 
-    def pixels(self, views: Float[Tensor, "batch view y x"]) -> Float[Tensor, "batch layer y x"]:
-        return self.last(self.stack(views))
+    def answer(self, seen: Float[Tensor, "batch view y x"]) -> Float[Tensor, "batch layer y x"]:
+        return self.last(self.stack(seen))
 
 
 def deepened(network: StackedCnn, modules: int) -> StackedCnn:
@@ -53,7 +62,9 @@ def deepened(network: StackedCnn, modules: int) -> StackedCnn:
         Chen et al. 2016, "Net2Net: accelerating learning via knowledge transfer".
     """
     width = network.last.in_channels
-    deep = StackedCnn(network.views, network.layers, width=width, modules=modules)
+    deep = StackedCnn(
+        network.views, network.layers, width=width, modules=modules, densities=network.densities
+    )
     for module in deep.kernels:
         assert module.bias is not None
         nn.init.dirac_(module.weight)

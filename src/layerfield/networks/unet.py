@@ -23,15 +23,23 @@ class UNet(Network):
         width: channels after the input module; doubled after every pooling.
         depth: number of poolings. The paper does not state it; 3 gives 7.7 million parameters.
         skips: connect the levels; without, for ablations, the way up sees only what is below.
+        densities: see `Network`.
 
     Reference:
         Gao et al. 2024, section 3 and figure 2; Ronneberger et al. 2015.
     """
 
     def __init__(
-        self, views: int, layers: int, *, width: int = 64, depth: int = 3, skips: bool = True
+        self,
+        views: int,
+        layers: int,
+        *,
+        width: int = 64,
+        depth: int = 3,
+        skips: bool = True,
+        densities: bool = False,
     ) -> None:
-        super().__init__(views, layers)
+        super().__init__(views, layers, densities=densities)
         self.multiple = 2**depth
         # Level l adds 2^l in pooling, 4 * 2^l below, 2^l on the way up, 2 * 2^l in merging.
         self.reach = 2 + 8 * (2**depth - 1)
@@ -49,8 +57,8 @@ class UNet(Network):
         )
         self.last = nn.Conv2d(width, layers, 1)
 
-    def pixels(self, views: Float[Tensor, "batch view y x"]) -> Float[Tensor, "batch layer y x"]:
-        level = self.entry(views)
+    def answer(self, seen: Float[Tensor, "batch view y x"]) -> Float[Tensor, "batch layer y x"]:
+        level = self.entry(seen)
         passed = []
         for down in self.down:
             passed.append(level)

@@ -74,7 +74,9 @@ def _begun(
                 notes.append(f"deepened from {shallow} to {deep} modules")
         refuse_other_network(network, trained, recipe)
         network.load_state_dict(trained.network.state_dict())
-        return network, same_light_paths(trained.display, display), notes
+        # What adds up values knows how to add up densities.
+        sums = network.densities and trained.display.link.is_sum
+        return network, sums or same_light_paths(trained.display, display), notes
     initialise(network, generator)
     if recipe.start == "identity":
         hand_on(network)

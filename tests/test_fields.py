@@ -113,8 +113,8 @@ def test_published_layers_are_shown_as_their_authors_mean_it(fields, content, tm
 
 def test_seen_from_the_right_the_front_layer_has_moved_left(fields):
     folder = fields / "layers_mmspg_I03" / "I03P0R0"
-    layers = read_layers(folder)
-    front = torch.stack([layers[0], torch.ones_like(layers[0]), torch.ones_like(layers[0])])
+    near = read_layers(folder)[0, 0]
+    front = torch.stack([near, torch.ones_like(near), torch.ones_like(near)])[None]
     display = Display.load("multiplicative-3")
     views = simulate(front, display, (0, 0))
     middle, right = views[12], views[14]

@@ -76,7 +76,7 @@ def _solve(field: LightField, display: Display) -> Result:
 def _strips(field: LightField, display: Display, result: Result) -> list[Strip]:
     corner = 0
     target = field.views[corner]
-    shown = display(dequantise(result.codes).unsqueeze(-5))[corner]
+    shown = display(dequantise(result.codes))[corner]
     others = []
     for method, iterations in _methods(display):
         if (method, iterations) == _SHOWN:
@@ -87,7 +87,7 @@ def _strips(field: LightField, display: Display, result: Result) -> list[Strip]:
         others.append(_error_tile(view, target, _heading(method, iterations)))
     layers = [
         Tile(layer, f"layer {k}" + (" (nearest)" if k == 0 else ""), _disparity(display, k))
-        for k, layer in enumerate(dequantise(result.codes))
+        for k, layer in enumerate(dequantise(result.codes[0]))
     ]
     views = [Tile(target, "target, top left view"), Tile(shown, "what the eye there sees")]
     return [

@@ -57,6 +57,11 @@ class Display(nn.Module):
         return len(self.geometry.depths)
 
     @property
+    def subframes(self) -> int:
+        """Pictures that every layer shows one after the other; viewers see the mean."""
+        return self.spec.subframes
+
+    @property
     def view_count(self) -> int:
         """Number of viewpoints."""
         return len(self.geometry.slopes)

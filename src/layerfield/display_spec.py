@@ -18,22 +18,40 @@ Viewpoints = tuple[tuple[Number, Number], ...]
 Depths = Annotated[tuple[Number, ...], Field(min_length=1, max_length=8)]
 
 _MOST_VIEWS = 10_000
+_MOST_SUBFRAMES = 64
 _WIDEST_MARGIN = 4096  # pixels; wider ones come from mistaken units
 
 
 class _Spec(BaseModel):
+    """What all displays say.
+
+    Args:
+        name: in tables and results.
+        description: one sentence.
+        link: how a light path combines the layers.
+        views: rows and columns of the view grid.
+        subframes: pictures that every layer shows one after the other, too fast for the eye,
+            which sees their mean.
+    """
+
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=True)
 
     name: str = "display"
     description: str = ""
-    link: Literal["additive", "multiplicative"]
+    link: Literal["additive", "multiplicative", "polarisation"]
     views: Grid | None = None
+    subframes: Annotated[int, Field(strict=True, ge=1, le=_MOST_SUBFRAMES)] = 1
 
     @model_validator(mode="after")
     def _geometry_holds(self):
         if self.views is not None and math.prod(self.views) > _MOST_VIEWS:
             raise ValueError(
                 f"'views' is {list(self.views)}, expected at most {_MOST_VIEWS} in all"
+            )
+        if self.link == "additive" and self.subframes > 1:
+            raise ValueError(
+                f"'subframes' is {self.subframes}, but a mean of sums is a sum: time multiplexing "
+                "adds nothing to additive layers; leave it out"
             )
         _refuse_far_shifts(self.geometry())
         return self

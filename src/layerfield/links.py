@@ -4,9 +4,11 @@ Each link is one class. It composes what a view sees, differentiates that by one
 the domain in which it is (or nearly is) a sum, where the direct solver works:
 
     additive        L = sum_k P_k
-    multiplicative  L = prod_k P_k,  log L = sum_k log P_k
+    multiplicative  L = prod_k P_k,               log L = sum_k log P_k
+    polarisation    L = sin^2(pi/2 sum_k P_k),    2/pi arcsin sqrt(L) = sum_k P_k
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
@@ -41,6 +43,16 @@ class Link(Protocol):
         """The range of a layer in the domain where the link is a sum."""
         ...
 
+    @property
+    def steepest(self) -> float:
+        """The largest derivative by a pixel; pixels are within their range."""
+        ...
+
+    @property
+    def bend(self) -> float:
+        """The largest second derivative by a pixel."""
+        ...
+
     def compose(self, pixels: Sequence[Tensor]) -> Tensor:
         """Return the light of paths that meet these pixels, one tensor a layer."""
         ...
@@ -66,6 +78,8 @@ class Additive:
     neutral: float = 0.0
     is_sum: bool = True
     sum_bounds: tuple[float, float] = (0.0, 1.0)
+    steepest: float = 1.0
+    bend: float = 0.0
 
     def compose(self, pixels: Sequence[Tensor]) -> Tensor:
         return reduce(add, pixels)
@@ -88,6 +102,8 @@ class Multiplicative:
     neutral: float = 1.0
     is_sum: bool = False
     sum_bounds: tuple[float, float] = (-float("inf"), 0.0)
+    steepest: float = 1.0
+    bend: float = 0.0
     darkest: float = 0.1  # darker values would dominate least squares on logarithms
 
     def compose(self, pixels: Sequence[Tensor]) -> Tensor:
@@ -104,4 +120,40 @@ class Multiplicative:
         return values.exp()
 
 
-LINKS: dict[str, Link] = {link.name: link for link in (Additive(), Multiplicative())}
+@dataclass(frozen=True)
+class Polarisation:
+    """L = sin^2(pi/2 sum_k P_k): layers that turn polarised light between crossed polarisers.
+
+    A pixel of 1 turns it by a right angle, from dark to bright.
+
+    Reference: Lanman et al., "Polarization fields", ACM Trans. Graphics 30(6), 2011.
+    """
+
+    name: str = "polarisation"
+    neutral: float = 0.0
+    is_sum: bool = False
+    sum_bounds: tuple[float, float] = (0.0, 1.0)
+    steepest: float = math.pi / 2
+    bend: float = math.pi**2 / 2
+
+    def compose(self, pixels: Sequence[Tensor]) -> Tensor:
+        return _turned(pixels).sin().square()
+
+    def derivative(self, pixels: Sequence[Tensor], layer: int) -> Tensor:
+        return (2 * _turned(pixels)).sin() * (math.pi / 2)
+
+    def to_sum(self, values: Tensor) -> Tensor:
+        return values.clamp(0, 1).sqrt().asin() * (2 / math.pi)
+
+    def from_sum(self, values: Tensor) -> Tensor:
+        return values
+
+
+def _turned(pixels: Sequence[Tensor]) -> Tensor:
+    """The angle by which light paths are turned, radians."""
+    return reduce(add, pixels) * (math.pi / 2)
+
+
+LINKS: dict[str, Link] = {
+    link.name: link for link in (Additive(), Multiplicative(), Polarisation())
+}

@@ -31,7 +31,7 @@ from layerfield.solvers.gradient import Gradient
 from layerfield.solvers.sweeps import Sweeps
 
 GAP_DB = 0.01  # an optimum is certified to this
-_REVISION = 4  # of this file's algorithm; part of the cache key
+_REVISION = 5  # of this file's algorithm; part of the cache key
 _MOST_ROUNDS = 60
 _ROUND = 25  # iterations between two looks at the error
 _STAGNATION = 2e-4  # relative gain of a round below which a run has stagnated
@@ -179,7 +179,7 @@ def _best_known(problem: Problem, tick: Callable[[str], None] | None) -> Referen
 def _even_start(problem: Problem) -> Tensor:
     """Layers that share evenly, in the domain where the link is a sum, what viewers see."""
     start = problem.in_sum_domain().even_start()
-    return problem.link.from_sum(start).clamp(*problem.bounds)
+    return problem.in_subframes(problem.link.from_sum(start).clamp(*problem.bounds))
 
 
 def _stagnate(problem: Problem, solver: Solver, start: Tensor) -> tuple[float, Tensor]:
@@ -212,6 +212,7 @@ def _fingerprint(problem: Problem) -> str:
         problem.projection.shifts,
         problem.weights,
         problem.bounds,
+        problem.subframes,
         tuple(problem.target.shape),
     )
     digest = hashlib.sha256(repr(facts).encode())

@@ -1,6 +1,7 @@
 """What synthesis leaves behind: a folder with layers, the display, and the facts.
 
-OUT/layers/layer_0.png ...   codes of the panels, layer 0 nearest to the viewer, margin included
+OUT/layers/layer_0.png ...   codes of the panels, layer 0 nearest to the viewer, margin included;
+                             OUT/layers/subframe_0/layer_0.png ... if there are several subframes
 OUT/display.toml             the display they are for
 OUT/result.json              method, figures, margin, versions
 OUT/views/view_RR_CC.png     what viewers see, if asked for
@@ -43,7 +44,7 @@ class Result:
         facts: everything that `result.json` holds.
     """
 
-    codes: UInt[Tensor, "layer c ly lx"]
+    codes: UInt[Tensor, "subframe layer c ly lx"]
     display: Display
     facts: dict[str, Any]
 
@@ -88,13 +89,14 @@ def make_result(
         "display": display.name,
         "bits": bits,
         "rounding": rounding if bits == 8 else "nearest",
+        "subframes": display.subframes,
         "margin": display.margin,
         "made_with": provenance(field.views.device),
         **_quality(figures(layers, field, display)),
         "reference": reference and asdict(reference) | {"psnr": _finite(reference.psnr)},
         "excess": reference and _finite(excess(error, reference.mean_square_error)),
     }
-    return Result(codes.squeeze(-5), display, facts)
+    return Result(codes, display, facts)
 
 
 def write_result(
@@ -112,14 +114,21 @@ def write_result(
         ValueError: the folder exists, or it cannot be written.
     """
     with whole_directory(folder, force=force) as temporary:
-        (temporary / "layers").mkdir()
-        for k, layer in enumerate(result.codes):
-            write_png(temporary / "layers" / f"layer_{k}.png", layer.cpu())
+        _write_layers(temporary / "layers", result.codes)
         (temporary / "display.toml").write_text(format_spec(result.display.spec), "utf-8")
         (temporary / "result.json").write_text(json.dumps(result.facts, indent=2), "utf-8")
         if simulate:
-            views = result.display(dequantise(result.codes).unsqueeze(-5))
+            views = result.display(dequantise(result.codes))
             write_views(temporary / "views", views, result.display, result.facts["bits"])
+
+
+def _write_layers(folder: Path, codes: UInt[Tensor, "subframe layer c ly lx"]) -> None:
+    folder.mkdir()
+    for s, layers in enumerate(codes):
+        place = folder / f"subframe_{s}" if len(codes) > 1 else folder
+        place.mkdir(exist_ok=True)
+        for k, layer in enumerate(layers):
+            write_png(place / f"layer_{k}.png", layer.cpu())
 
 
 def write_views(
@@ -139,23 +148,32 @@ def write_views_array(path: Path, views: Float[Tensor, "view c y x"], display: D
     np.save(path, array.astype(np.float32), allow_pickle=False)
 
 
-def read_layers(folder: str | Path) -> Float[Tensor, "layer c ly lx"]:
+def read_layers(folder: str | Path) -> Float[Tensor, "subframe layer c ly lx"]:
     """Read layer images, 0 to 1, from a result of `synth` or from a plain folder of images.
 
     Images are taken in the order of the numbers in their names, the nearest to the viewer first.
+    Folders named `subframe_0`, `subframe_1` ... hold the layers of one subframe each.
 
     Raises:
-        ValueError: no folder, no images, or images that differ in size.
+        ValueError: no folder, no images, or images that differ in size or number.
     """
     folder = Path(folder)
     if not folder.is_dir():
         raise ValueError(f"there is no folder {folder}; expected a result of synth or layer images")
     inner = folder / "layers"
-    images = _layer_files(inner if inner.is_dir() else folder)
-    if not images:
-        raise ValueError(
-            f"found no layer images in {folder}; expected layer_0.png, layer_1.png ..."
-        )
+    places = _subframe_folders(inner if inner.is_dir() else folder)
+    subframes = [_layer_files(place) for place in places]
+    for place, images in zip(places, subframes, strict=True):
+        if not images:
+            raise ValueError(
+                f"found no layer images in {place}; expected layer_0.png, layer_1.png ..."
+            )
+        if len(images) != len(subframes[0]):
+            raise ValueError(
+                f"found {len(images)} layer images in {place}, {len(subframes[0])} in "
+                f"{places[0]}; all subframes must have the same layers"
+            )
+    images = [image for images in subframes for image in images]
     layers = [torch.from_numpy(read_image(image)) for image in images]
     for image, layer in zip(images, layers, strict=True):
         if layer.shape != layers[0].shape:
@@ -163,7 +181,7 @@ def read_layers(folder: str | Path) -> Float[Tensor, "layer c ly lx"]:
                 f"{image.name} is {_size(layer)}, {images[0].name} is {_size(layers[0])}; "
                 "all layers must have one size and one kind"
             )
-    return torch.stack(layers)
+    return torch.stack(layers).unflatten(0, (len(places), -1))
 
 
 def display_of(folder: str | Path) -> Display | None:
@@ -192,7 +210,7 @@ def margin_of(folder: str | Path) -> tuple[int, int] | None:
 
 
 def simulate(
-    layers: Float[Tensor, "layer c ly lx"], display: Display, margin: tuple[int, int]
+    layers: Float[Tensor, "subframe layer c ly lx"], display: Display, margin: tuple[int, int]
 ) -> Float[Tensor, "view c y x"]:
     """Return the unclipped views that layers show.
 
@@ -203,19 +221,32 @@ def simulate(
             the layers go on unchanged: nothing is added, or multiplied.
 
     Raises:
-        ValueError: not as many layers as the display has, or nothing left of the views.
+        ValueError: not as many subframes or layers as the display has, or nothing left of the
+            views.
     """
-    if len(layers) != display.layer_count:
-        raise ValueError(
-            f"found {len(layers)} layer images, display '{display.name}' has {display.layer_count}"
-        )
+    for found, has, what in (
+        (layers.shape[1], display.layer_count, "layer images"),
+        (layers.shape[0], display.subframes, "subframes"),
+    ):
+        if found != has:
+            raise ValueError(f"found {found} {what}, display '{display.name}' has {has}")
     size = [n - 2 * m for n, m in zip(layers.shape[-2:], margin, strict=True)]
     if min(margin) < 0 or min(size) < 1:
         raise ValueError(
             f"layers of {_size(layers)} with a margin of {margin[1]}x{margin[0]} px show no views; "
             "give a smaller --margin, 0 or more"
         )
-    return display(display.surround(layers, display.margin, margin).unsqueeze(-5))
+    return display(display.surround(layers, display.margin, margin))
+
+
+def _subframe_folders(folder: Path) -> list[Path]:
+    """Return the folders of the subframes in order; the folder itself if there is but one."""
+    found = [p for p in folder.glob("subframe_*") if p.is_dir()]
+    return sorted(found, key=_numbers) or [folder]
+
+
+def _numbers(path: Path) -> tuple[list[int], str]:
+    return [int(n) for n in re.findall(r"\d+", path.stem)], path.name
 
 
 def _layer_files(folder: Path) -> list[Path]:
@@ -224,7 +255,7 @@ def _layer_files(folder: Path) -> list[Path]:
         for p in folder.iterdir()
         if p.suffix.lower() in SUFFIXES and not p.name.startswith(".") and not p.is_dir()
     ]
-    return sorted(images, key=lambda p: ([int(n) for n in re.findall(r"\d+", p.stem)], p.name))
+    return sorted(images, key=_numbers)
 
 
 def _size(layer: Tensor) -> str:

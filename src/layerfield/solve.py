@@ -21,6 +21,9 @@ from layerfield.gram import Gram
 from layerfield.links import Additive, Link
 from layerfield.projection import Projection
 
+_SEED = 0  # of what makes subframes differ
+APART = 0.05  # how much they differ; on procedural scenes sweeps ended higher the less they did
+
 
 @dataclass(frozen=True, eq=False)
 class Problem:
@@ -32,6 +35,7 @@ class Problem:
         target: L, the views to be shown.
         weights: w, one for every view.
         bounds: the range of layer pixels.
+        subframes: whose mean is seen.
     """
 
     projection: Projection
@@ -39,6 +43,7 @@ class Problem:
     target: Float[Tensor, "*batch view c y x"]
     weights: tuple[float, ...]
     bounds: tuple[float, float] = (0.0, 1.0)
+    subframes: int = 1
 
     @classmethod
     def of(
@@ -57,7 +62,7 @@ class Problem:
         chosen = tuple(float(w) for w in weights) if weights is not None else (1.0,) * count
         if len(chosen) != count or min(chosen) < 0 or not 0 < sum(chosen) < math.inf:
             raise ValueError(f"expected {count} view weights, at least 0 and not all 0")
-        return cls(display.projection, display.link, target, chosen)
+        return cls(display.projection, display.link, target, chosen, subframes=display.subframes)
 
     def in_sum_domain(self) -> "Problem":
         """Return the problem in the domain where the link is a sum (logarithms for a product)."""
@@ -65,6 +70,13 @@ class Problem:
         return Problem(
             self.projection, Additive(), target, self.weights, bounds=self.link.sum_bounds
         )
+
+    @property
+    def layer_shape(self) -> tuple[int, ...]:
+        """Shape of the layers: *batch, subframe, layer, channel, y, x."""
+        *batch, _, channels, _, _ = self.target.shape
+        size = self.projection.layer_size(self.target)
+        return (*batch, self.subframes, self.layer_count, channels, *size)
 
     @property
     def layer_count(self) -> int:
@@ -115,12 +127,30 @@ class Problem:
         average = self.back_projected / self.coverage.clamp(min=1e-6)
         return torch.where(self.coverage > 0, average, mean) / self.layer_count
 
-    def flat_start(self) -> Float[Tensor, "*batch 1 layer c ly lx"]:
-        """Return the classical start: constant layers that together show the mean of the views."""
+    def flat_start(self, apart: float = APART) -> Float[Tensor, "*batch subframe layer c ly lx"]:
+        """Return the classical start: constant layers that together show the mean of the views.
+
+        Subframes differ by random factors, 1 - apart to 1 + apart.
+        """
         mean = self.link.to_sum(self.target).mean(dim=(-4, -3, -2, -1)) / self.layer_count
         shape = self.back_projected.shape
         start = self.link.from_sum(mean)[(..., *[None] * 5)].expand(shape)
-        return start.clamp(*self.bounds).clone()
+        return self.in_subframes(start.clamp(*self.bounds).clone(), apart)
+
+    def in_subframes(
+        self, layers: Float[Tensor, "*batch 1 layer c ly lx"], apart: float = APART
+    ) -> Float[Tensor, "*batch subframe layer c ly lx"]:
+        """Return a start for all subframes from one for a single one.
+
+        Equal subframes would stay equal, so pixels are multiplied by random factors, 1 - apart to
+        1 + apart, which depend on the size of the layers alone.
+        """
+        if self.subframes == 1:
+            return layers
+        generator = torch.Generator().manual_seed(_SEED)
+        shape = (self.subframes, *layers.shape[-4:])
+        factors = 1 + apart * (2 * torch.rand(shape, generator=generator).to(layers) - 1)
+        return (layers * factors).clamp(*self.bounds)
 
 
 State = Any  # each solver's own value, a tensor or a small dataclass
@@ -238,11 +268,11 @@ def _start(problem: Problem, solver: Solver, init: Solution | Tensor | None) -> 
     if isinstance(init, Solution) and type(init.solver) is type(solver):
         return init.state
     layers = init.layers if isinstance(init, Solution) else init
-    expected = problem.back_projected.shape
-    if layers is not None and layers.shape[-4:] != expected[-4:]:
+    expected = problem.layer_shape
+    if layers is not None and layers.shape[-5:] != expected[-5:]:
         raise ValueError(
             f"the layers to start from have shape {tuple(layers.shape)}, expected "
-            f"{tuple(expected)} [subframe, layer, channel, y, x]"
+            f"{expected} [subframe, layer, channel, y, x]"
         )
     return layers
 

@@ -22,6 +22,7 @@ from layerfield.solvers.fourier_admm import FourierAdmm
 from layerfield.solvers.fourier_start import FourierStart
 from layerfield.solvers.gradient import Gradient
 from layerfield.solvers.nmf import Nmf
+from layerfield.solvers.ntf import Ntf
 from layerfield.solvers.sart import Sart
 from layerfield.solvers.sweeps import Sweeps
 from layerfield.weights import PICKLE_SUFFIXES, WEIGHT_SUFFIX, shipped
@@ -50,6 +51,13 @@ _SOLVERS = (
     SolverMethod("gradient", "accelerated projected gradients", 100, _ANY, lambda _: Gradient()),
     SolverMethod(
         "nmf", "multiplicative updates of non-negative factors", 100, _ADDITIVE, lambda _: Nmf()
+    ),
+    SolverMethod(
+        "ntf",
+        "multiplicative updates of tensor displays",
+        100,
+        ("multiplicative",),
+        lambda _: Ntf(),
     ),
     SolverMethod("sart", "algebraic reconstruction, view by view", 50, _ADDITIVE, lambda _: Sart()),
     SolverMethod(

@@ -100,8 +100,9 @@ class TrainedNetwork:
 
 
 def same_light_paths(one: Display, other: Display) -> bool:
-    """Say whether displays have the same link, view grid and shifts, whatever their names."""
-    if (one.link.name, one.geometry.grid) != (other.link.name, other.geometry.grid):
+    """Say whether displays have the same link, subframes, view grid and shifts, not only names."""
+    kinds = [(d.link.name, d.subframes, d.geometry.grid) for d in (one, other)]
+    if kinds[0] != kinds[1]:
         return False
     pair = [[c for view in d.geometry.shifts for s in view for c in s] for d in (one, other)]
     return len(pair[0]) == len(pair[1]) and all(
@@ -113,7 +114,10 @@ def _described(display: Display) -> str:
     grid = display.geometry.grid
     views = f"{grid[0]}x{grid[1]} views" if grid else f"{display.view_count} listed views"
     reach = max(abs(c) for view in display.geometry.shifts for shift in view for c in shift)
-    return f"{display.link.name}, {views}, {display.layer_count} layers, shifts to {reach:g} px"
+    layers = f"{display.layer_count} layers"
+    if display.subframes > 1:
+        layers = f"{display.subframes} subframes of {layers}"
+    return f"{display.link.name}, {views}, {layers}, shifts to {reach:g} px"
 
 
 # ------------------------------------------------------------------------------------ weight files

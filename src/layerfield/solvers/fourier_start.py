@@ -12,7 +12,9 @@ from layerfield.solvers.sweeps import Sweeps, SweepsState
 
 @dataclass(frozen=True)
 class FourierStart:
-    """Solve the box-constrained problem on log max(L, 0.1), exponentiate, then sweep.
+    """Solve the box-constrained problem where the link is a sum, go back, then sweep.
+
+    That is on log max(L, 0.1) for a product, on 2/pi arcsin sqrt(L) for polarisation.
 
     An iteration is one sweep; the start is part of `init`.
 
@@ -31,7 +33,7 @@ class FourierStart:
             return self.refine.init(problem, start)
         direct = solve(problem.in_sum_domain(), self.direct, iterations=self.direct_iterations)
         layers = problem.link.from_sum(direct.layers).clamp(*problem.bounds)
-        return self.refine.init(problem, layers)
+        return self.refine.init(problem, problem.in_subframes(layers))
 
     def step(self, problem: Problem, state: SweepsState) -> SweepsState:
         return self.refine.step(problem, state)

@@ -23,9 +23,10 @@ class GradientState:
 class Gradient:
     """Accelerated projected gradients with adaptive restart, differentiated automatically.
 
-        P' = clamp(Y - grad f(Y) / (K sum w)),  Y' = P' + (t - 1) / t' (P' - P)
+        P' = clamp(Y - grad f(Y) / (K o^2 sum w)),  Y' = P' + (t - 1) / t' (P' - P)
 
-    K sum w bounds the curvature of a sum, and that of a product up to its residual.
+    o is the largest derivative of the link: K o^2 sum w bounds the curvature of a sum, and that
+    of other links up to the residual. A subframe shows a share of the light, so steps grow by it.
 
     Reference: Beck and Teboulle, SIAM J. Imaging Sciences 2(1), 2009; restart: O'Donoghue and
     Candes, Found. Comput. Math. 15, 2015.
@@ -39,7 +40,8 @@ class Gradient:
 
     def step(self, problem: Problem, state: GradientState) -> GradientState:
         gradient = _gradient(problem, state.ahead)
-        curvature = problem.layer_count * sum(problem.weights)
+        curvature = problem.layer_count * sum(problem.weights) * problem.link.steepest**2
+        curvature /= problem.subframes
         layers = (state.ahead - gradient / curvature).clamp(*problem.bounds)
         moved = layers - state.layers
         if ((state.ahead - layers) * moved).sum() > 0:  # the momentum points uphill

@@ -8,7 +8,7 @@ from torch import Tensor
 from layerfield.nearest import did_you_mean
 from layerfield.panels import dequantise, quantise
 from layerfield.solve import Problem, solve
-from layerfield.solvers.sweeps import layer_step
+from layerfield.solvers.sweeps import best_layer
 
 ROUNDINGS = ("joint", "nearest")
 _ROUNDING_SWEEPS = 2
@@ -33,9 +33,8 @@ class JointRounding:
     def step(self, problem: Problem, state: Tensor) -> Tensor:
         layers = state.clone()
         for k in range(problem.layer_count):
-            layer = layers[..., k, :, :, :]
-            best = layer.add(layer_step(problem, layers, k)).clamp(*problem.bounds)
-            layer.copy_(dequantise(quantise(best, self.bits)))
+            best = best_layer(problem, layers, k)
+            layers[..., k, :, :, :] = dequantise(quantise(best, self.bits))
         return layers
 
     def layers(

@@ -8,6 +8,8 @@ from torch import Tensor
 
 from layerfield.solve import Problem
 
+_PASSES = 3  # through the subframes of a layer in a step; they cost nothing per view
+
 
 @dataclass(frozen=True, eq=False)
 class SweepsState:
@@ -26,8 +28,11 @@ class Sweeps:
 
     with o the derivative of the link by the layer (for a product, the other layers along the
     path). Exact for whole-pixel shifts and links linear in each layer, descending for fractional
-    shifts, where the denominator majorises. Pixels that influence nothing stay. From the third
-    sweep on, the start of a sweep is extrapolated along the last change, unless that led uphill.
+    shifts, where the denominator majorises. For other links it is damped by the residual times
+    the largest second derivative. With subframes, o is a vector, o^2 a small matrix, and each
+    step goes a few times through the subframes. Pixels that influence nothing stay. From the
+    third sweep on, the start of a sweep is extrapolated along the last change, unless that led
+    uphill.
 
     Args:
         momentum: the largest extrapolation, as a share of the last change; 0 for plain sweeps.
@@ -44,8 +49,7 @@ class Sweeps:
     def step(self, problem: Problem, state: SweepsState) -> SweepsState:
         layers = state.ahead.clone()
         for k in range(problem.layer_count):
-            step = layer_step(problem, layers, k)
-            layers[..., k, :, :, :].add_(step).clamp_(*problem.bounds)
+            layers[..., k, :, :, :] = best_layer(problem, layers, k)
         moved = layers - state.layers
         uphill = bool(((state.ahead - layers) * moved).sum() > 0)
         count = 1 if uphill else state.count + 1
@@ -59,17 +63,41 @@ class Sweeps:
         return state.layers
 
 
-def layer_step(
-    problem: Problem, layers: Tensor, index: int
+def best_layer(
+    problem: Problem, layers: Float[Tensor, "*batch subframe layer c ly lx"], index: int
 ) -> Float[Tensor, "*batch subframe c ly lx"]:
-    """Return the change of one layer that minimises the (majorised) error, per pixel."""
-    projection, link = problem.projection, problem.link
-    gradient = torch.zeros_like(layers[..., index, :, :, :])
-    curvature = torch.zeros_like(gradient)
+    """Return one layer, in all subframes, that minimises the (majorised) error per pixel."""
+    best = layers[..., index, :, :, :].clone()
+    slope, curvature = _normal_equations(problem, layers, index)
+    subframes = range(best.shape[-4])
+    for _ in range(_PASSES if len(subframes) > 1 else 1):
+        for s in subframes:
+            pixels, own = best[..., s, :, :, :], curvature[s][s]
+            step = torch.where(own > 0, slope[s] / own.clamp(min=1e-12), 0)
+            moved = (pixels + step).clamp_(*problem.bounds).sub_(pixels)
+            pixels.add_(moved)
+            for t in subframes:
+                slope[t].addcmul_(curvature[s][t], moved, value=-1)
+    return best
+
+
+def _normal_equations(
+    problem: Problem, layers: Tensor, index: int
+) -> tuple[list[Tensor], list[list[Tensor]]]:
+    """Return A_k^T W o (L - link(P)), by subframe, and A_k^T W o o^T A_k 1 with its damping."""
+    projection, link, count = problem.projection, problem.link, layers.shape[-5]
+    empty = layers[..., 0, index, :, :, :]
+    slope = [torch.zeros_like(empty) for _ in range(count)]
+    curvature = [[torch.zeros_like(empty) for _ in range(s + 1)] for s in range(count)]
     for i, weight in enumerate(problem.weights):
         pixels = projection.windows(layers, i)
-        others = link.derivative(pixels, index)
-        residual = problem.target[..., i, :, :, :].unsqueeze(-4) - link.compose(pixels)
-        projection.scatter_(gradient, residual.mul_(others), i, index, weight)
-        projection.scatter_(curvature, others.square_(), i, index, weight)
-    return torch.where(curvature > 0, gradient / curvature.clamp(min=1e-12), 0)
+        others = link.derivative(pixels, index).unbind(dim=-4)
+        residual = problem.target[..., i, :, :, :] - link.compose(pixels).mean(dim=-4)
+        for s in range(count):
+            projection.scatter_(slope[s], others[s] * residual, i, index, weight / count)
+            for t in range(s + 1):
+                product = others[s] * others[t]
+                if s == t and link.bend:
+                    product.add_(residual.abs(), alpha=link.bend * count)
+                projection.scatter_(curvature[s][t], product, i, index, weight / count**2)
+    return slope, [[curvature[max(s, t)][min(s, t)] for t in range(count)] for s in range(count)]

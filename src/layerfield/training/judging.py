@@ -17,7 +17,7 @@ from layerfield.training.recipe import Recipe
 from layerfield.training.sources import Source
 
 Scenes = Float[Tensor, "scene view c y x"]
-_REFERENCE = {"additive": ("fourier-admm", 40), "multiplicative": ("fourier-admm", 10)}
+_SOLVER = "fourier-admm"
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,12 +46,12 @@ class Judges:
 
     def reference(self) -> dict[str, float | str]:
         """Return what the solver reaches on the same sets, dB; the yardstick of the figures."""
-        method, iterations = _REFERENCE[self.display.link.name]
-        found: dict[str, float | str] = {"method": f"{method}:{iterations}"}
+        iterations = 40 if self.display.link.is_sum else 10
+        found: dict[str, float | str] = {"method": f"{_SOLVER}:{iterations}"}
         for name, scenes in self.sets.items():
             grid = self.display.geometry.grid or (1, self.display.view_count)
             field = LightField(scenes, grid)
-            layers = synthesize(field, self.display, method=method, iterations=iterations).layers
+            layers = synthesize(field, self.display, method=_SOLVER, iterations=iterations).layers
             errors = (self.display(layers) - scenes).square().mean(dim=(1, 2, 3, 4))
             found[f"{name}_psnr"] = self._mean(errors.tolist())
         return found

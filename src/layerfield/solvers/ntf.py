@@ -1,0 +1,56 @@
+"""Multiplicative updates of tensor displays, for layers that multiply, in any subframes."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from layerfield.solve import Problem
+
+
+@dataclass(frozen=True)
+class Ntf:
+    """P_k <- min(1, P_k * (A_k^T W o L) / (A_k^T W o link(P))), layer after layer.
+
+    o is the product of the other layers along the path. It starts from constant layers.
+
+    Args:
+        apart: how much subframes differ at the start, 0 to 1. Less, and the updates, which keep
+            what is small small, need many to part them.
+
+    Reference: Wetzstein et al., "Tensor displays", ACM Trans. Graphics 31(4), 2012, section 4.
+    """
+
+    apart: float = 0.5
+
+    def init(self, problem: Problem, start: Tensor | None) -> Tensor:
+        return problem.flat_start(self.apart) if start is None else start.clamp(*problem.bounds)
+
+    def step(self, problem: Problem, state: Tensor) -> Tensor:
+        layers = state.clone()
+        for k in range(problem.layer_count):
+            layers[..., k, :, :, :].mul_(_ratio(problem, layers, k)).clamp_(*problem.bounds)
+        return layers
+
+    def layers(
+        self, problem: Problem, state: Tensor
+    ) -> Float[Tensor, "*batch subframe layer c ly lx"]:
+        return state
+
+
+def _ratio(
+    problem: Problem, layers: Tensor, index: int
+) -> Float[Tensor, "*batch subframe c ly lx"]:
+    """Return the quotient of what layers should show and what they show, seen from one layer."""
+    projection, link = problem.projection, problem.link
+    wanted = torch.zeros_like(layers[..., index, :, :, :])
+    found = torch.zeros_like(wanted)
+    for i, weight in enumerate(problem.weights):
+        pixels = projection.windows(layers, i)
+        others = link.derivative(pixels, index)
+        shown = link.compose(pixels).mean(dim=-4, keepdim=True)
+        target = problem.target[..., i, :, :, :].unsqueeze(-4)
+        projection.scatter_(wanted, others * target, i, index, weight)
+        projection.scatter_(found, others * shown, i, index, weight)
+    return torch.where(found > 0, wanted / found.clamp(min=1e-12), 1)

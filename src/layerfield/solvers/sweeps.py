@@ -71,5 +71,5 @@ def layer_step(
         others = link.derivative(pixels, index)
         residual = problem.target[..., i, :, :, :].unsqueeze(-4) - link.compose(pixels)
         projection.scatter_(gradient, residual.mul_(others), i, index, weight)
-        projection.scatter_(curvature, others.square_(), i, index, weight)
+        projection.scatter_(curvature, others.square(), i, index, weight)
     return torch.where(curvature > 0, gradient / curvature.clamp(min=1e-12), 0)

@@ -2,14 +2,16 @@
 
 import json
 import math
+import shlex
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from test_cli import fails, read, run, succeed, write_views
+from test_package import commands_in
 
-from layerfield import Display, procedural_light_field, synthesize
+from layerfield import Display, LightField, procedural_light_field, synthesize
 from layerfield import spectrum as closed_form
 from layerfield.design import (
     Search,
@@ -22,7 +24,7 @@ from layerfield.design import (
 from layerfield.geometry import grid_points
 from layerfield.io import load_light_field
 from layerfield.links import LINKS
-from layerfield.report.designs import contrast_figure
+from layerfield.report.designs import contrast_figure, design_lines
 from layerfield.spectrum import Spectrum, contrast, predicted_error, spectrum
 
 GRID, SIZE = (2, 3), (6, 8)
@@ -72,15 +74,15 @@ def test_closed_form_equals_dense_least_squares(disparities, monkeypatch):
 
 
 def test_price_is_that_of_large_pixels():
-    """min ||A P - v||^2 + e N ||P||^2, by the dense normal equations."""
+    """||A P - v||^2 where P minimises ||A P - v||^2 + e N ||P||^2, by dense normal equations."""
     torch.manual_seed(0)
     views = torch.rand(6, 1, *SIZE, dtype=torch.float64)
     matrix, wanted = dense((1.0, 0.3)), views.transpose(0, 1).flatten(1).T
     normal = matrix.T @ matrix
     normal += closed_form._PRICE * 6 * torch.eye(len(normal))
-    back = matrix.T @ wanted
-    least = (wanted.square().sum() - (back * torch.linalg.solve(normal, back)).sum()) / len(wanted)
-    assert predicted_error(whole_spectrum(views), (1.0, 0.3)) == pytest.approx(least.item())
+    residual = matrix @ torch.linalg.solve(normal, matrix.T @ wanted) - wanted
+    least = residual.square().mean().item()
+    assert predicted_error(whole_spectrum(views), (1.0, 0.3)) == pytest.approx(least)
 
 
 def test_drawn_frequencies_stand_for_all():
@@ -113,7 +115,7 @@ def test_free_layers_are_no_worse_than_even_ones():
     field = procedural_light_field(size=(64, 72), disparity_range=(-2, 1), seed=2)
     search = Search([spectrum(field, ADDITIVE)], [1 - n / 8 for n in range(25)])
     even = search.even(3)
-    errors = search.errors(torch.stack([even, search.moved(even)]))
+    errors = search.errors(torch.stack([even, search.free(even)]))
     assert errors[1] <= errors[0] <= search.errors(even_stacks(25, 3)).min() * (1 + 1e-9)
 
 
@@ -124,6 +126,13 @@ def test_a_grating_at_a_layer_is_shown_in_full_and_far_from_it_is_not():
     assert shown[0].min() > 0.99
     assert shown[1, 1] < 0.1
     assert (shown[2].diff() < 0).all()
+
+
+def test_light_without_detail_has_a_design():
+    field = LightField(torch.zeros(9, 1, 20, 24), (3, 3))
+    found = design([field], "additive", (2,))
+    assert len(found.suggestions) == 1
+    assert all(len(line) == 6 for line in design_lines(found))
 
 
 def test_layers_are_parsed():
@@ -192,6 +201,15 @@ def test_command_serves_several_fields_together_and_alone(desk):
     assert [own["fields"] for own in found["alone"]] == [["views"], ["other"]]
     for place in (".", "views", "other"):
         Display.load(Path("out", place, "display-2.toml"))
+
+
+def test_every_command_of_the_page_runs(desk):
+    """In a folder with light fields called `my-views` and `other-views`."""
+    (desk / "views").rename("my-views")
+    write_views(desk / "other-views")
+    page = (Path(__file__).parents[1] / "docs" / "design.md").read_text("utf-8")
+    for command in commands_in(page):
+        succeed(*shlex.split(command)[1:])
 
 
 @pytest.mark.parametrize(

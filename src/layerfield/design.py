@@ -7,6 +7,7 @@ was grown layer by layer. What is suggested is solved: the closed form knows no 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from jaxtyping import Float, Int
@@ -27,8 +28,9 @@ _PLACES = 65
 _COARSE, _FINEST = 0.5, 1 / 32  # pixels per view step, between places
 _WIDEST = 16.0  # disparity looked for, pixels per view step
 _FINDERS = 4  # layers that find out where a scene is
-_EVERY, _SHORTLIST = 4, 64  # all stacks at some frequencies, then the best at all
+_EVERY = 4  # all stacks are compared at this share of the frequencies, the best 65 at all
 _GAIN = 1e-3  # of a round of moves, below which it ends
+_WORTH = 0.01  # an uneven stack must be better by this share, 0.04 dB
 
 
 @dataclass(frozen=True)
@@ -154,9 +156,10 @@ def design(
     for count in layers:
         tick(f"looking for {count} layers")
         even = search.even(count)
-        best = search.best([search.moved(even), search.grown(count)])
+        free = search.free(even)
+        best = even if search.gain(even, free) < _WORTH else free
         found.append(judged(f"design-{count}", search.disparity(best)))
-        if not even.equal(best):
+        if best is not even:
             found.append(judged(f"design-{count}-even", search.disparity(even)))
     names = tuple(field.name for field in fields)
     return Design(names, link, fields[0].grid, tuple(found), judged("usual", USUAL))
@@ -200,8 +203,12 @@ class Search:
 
     def __init__(self, spectra: Sequence[Spectrum], axis: Sequence[float]) -> None:
         self.axis = tuple(axis)
+        self._spectra = spectra
         self._tables = [Errors(each, axis) for each in spectra]
-        self._rough = [Errors(each.thinned(_EVERY), axis) for each in spectra]
+
+    @cached_property
+    def _rough(self) -> list[Errors]:
+        return [Errors(each.thinned(_EVERY), self.axis) for each in self._spectra]
 
     def disparity(self, stack: Int[Tensor, " layer"]) -> tuple[float, ...]:
         """Return the disparities of a stack of places."""
@@ -214,8 +221,8 @@ class Search:
     def even(self, layers: int) -> Int[Tensor, " layer"]:
         """Return the best stack of evenly spaced layers."""
         stacks = even_stacks(len(self.axis), layers)
-        count = min(_SHORTLIST, len(stacks))
-        stacks = stacks[_summed(self._rough, stacks).topk(count, largest=False).indices]
+        if len(stacks) > _PLACES:
+            stacks = stacks[_summed(self._rough, stacks).argsort()[:_PLACES]]
         return stacks[self.errors(stacks).argmin()]
 
     def moved(self, stack: Int[Tensor, " layer"]) -> Int[Tensor, " layer"]:
@@ -231,9 +238,15 @@ class Search:
                     best, error = tried[errors.argmin()], errors.min().item()
         return best
 
-    def best(self, stacks: Sequence[Int[Tensor, " layer"]]) -> Int[Tensor, " layer"]:
-        """Return the one of these stacks with the least error."""
-        return stacks[int(self.errors(torch.stack(list(stacks))).argmin())]
+    def free(self, even: Int[Tensor, " layer"]) -> Int[Tensor, " layer"]:
+        """Return the best stack without a rule, found from an even one and from none."""
+        moved, grown = self.moved(even), self.grown(len(even))
+        return grown if self.gain(moved, grown) > 0 else moved
+
+    def gain(self, old: Int[Tensor, " layer"], new: Int[Tensor, " layer"]) -> float:
+        """Return by which share of its error a stack is better than another."""
+        before, after = self.errors(torch.stack([old, new])).tolist()
+        return (before - after) / before if before > 0 else 0.0
 
     def grown(self, layers: int) -> Int[Tensor, " layer"]:
         """Return a good stack of layers that were added one by one and then moved."""
@@ -277,7 +290,7 @@ def centred_spectrum(field: LightField, link: Link) -> Spectrum:
     """
     part, bulk, reach = middle(field, LARGEST // 2), 0.0, _widest(field)
     for step in (_COARSE, _COARSE / 8):
-        nearby = [bulk + each for each in _places(reach, step)]
+        nearby = [bulk + each for each in _disparities(reach, step)]
         search = Search([spectrum(part, link, centre=bulk)], nearby)
         (bulk,) = search.disparity(search.even(1))
         reach = _COARSE
@@ -286,7 +299,7 @@ def centred_spectrum(field: LightField, link: Link) -> Spectrum:
 
 def _axis(spectra: Sequence[Spectrum], widest: float) -> list[float]:
     """Return the disparities of the scenes and one pixel around, from near to far."""
-    coarse = Search([each.thinned(_EVERY) for each in spectra], _places(widest, _COARSE))
+    coarse = Search([each.thinned(_EVERY) for each in spectra], _disparities(widest, _COARSE))
     found = coarse.disparity(coarse.grown(_FINDERS))
     near, far = found[0] + 1, found[-1] - 1
     step = _FINEST
@@ -295,7 +308,7 @@ def _axis(spectra: Sequence[Spectrum], widest: float) -> list[float]:
     return [near - n * step for n in range(int((near - far) / step) + 1)]
 
 
-def _places(reach: float, step: float) -> list[float]:
+def _disparities(reach: float, step: float) -> list[float]:
     """Return disparities from near to far, about 0."""
     count = int(reach / step)
     return [step * n for n in range(count, -count - 1, -1)]

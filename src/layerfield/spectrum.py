@@ -3,7 +3,8 @@
 On a torus and without bounds on the layers, frequencies do not know of each other. The views'
 spectrum v(f), one number a view, is projected on the column space of A(f):
 
-    error(f) = ||v||^2 - b^H (G + e N I)^-1 b,   b = A^H v,  G = A^H A,  N views
+    error(f) = ||v - A p||^2,   p = R b,   R = (G + e N I)^-1,   b = A^H v,   G = A^H A
+             = ||v||^2 - b^H (R + e N R^2) b                     with N views
 
 b and G depend on the disparities of the layers, entry by entry. With tables of both for pairs of
 disparities, the error of a display is a sum over some thousands of frequencies.
@@ -24,9 +25,9 @@ from layerfield.links import Link
 from layerfield.projection import response
 
 FREQUENCIES = 2048  # drawn from those of a light field
-# Layers with bounds cannot pay for small errors with large pixels: e. It and the taper are the
-# best of a few on procedural scenes, judged by solving.
-_PRICE = 3e-3
+# Layers with bounds cannot avoid small errors by large pixels: e. It and the taper are the best of
+# a few on procedural scenes, judged by solving.
+_PRICE = 0.015
 _TAPER = 0.05  # of the image, at each border
 _AT_ONCE = 1 << 20  # numbers in the matrices that are inverted together
 
@@ -163,10 +164,16 @@ class Errors:
 
     def _shown(self, chosen: Int[Tensor, "n layer"]) -> Float[Tensor, " n"]:
         pairs = chosen.T[:, None], chosen.T[None, :]
-        matrix = self.gram[pairs]
-        for k in range(len(matrix)):
-            matrix[k, k] += self.price
-        return (inverse(matrix) * self.back[pairs]).sum(dim=(0, 1, 3))
+        return (_shown(self.gram[pairs], self.price) * self.back[pairs]).sum(dim=(0, 1, 3))
+
+
+def _shown(gram: Float[Tensor, "k k n f"], price: float) -> Float[Tensor, "k k n f"]:
+    """Return R + price R^2, whose quadratic form in b is the energy that layers can show."""
+    priced = gram.clone()
+    for k in range(len(gram)):
+        priced[k, k] += price
+    right = inverse(priced)
+    return right + price * torch.stack([(row[:, None] * right).sum(dim=0) for row in right])
 
 
 def predicted_error(given: Spectrum, disparities: Sequence[float]) -> float:
@@ -196,9 +203,8 @@ def contrast(
     turns = disparities[:, None, None] * steps[:, None] * frequencies
     gratings = torch.exp(2j * math.pi * turns)
     back = torch.einsum("knf,dnf->kdf", columns.conj(), gratings)
-    matrix = _products(columns).real.unsqueeze(2)
-    matrix = matrix + _PRICE * views * torch.eye(len(layers))[:, :, None, None]
-    shares = inverse(matrix).to(back.dtype).squeeze(2)
+    shares = _shown(_products(columns).real.unsqueeze(2), _PRICE * views)
+    shares = shares.squeeze(2).to(back.dtype)
     return torch.einsum("kdf,klf,ldf->df", back.conj(), shares, back).real / views
 
 

@@ -124,6 +124,9 @@ def contrast_figure(found: Design) -> Figure:
         x="disparity, px per view step",
         y="frequency, cycles per px",
         value="contrast of a grating",
-        marks="dashed: the layers; black line: contrast 0.5",
+        marks="dashed red: the layers; black: contrast 0.5",
     )
-    return maps(f"What {found.link} displays can show of {', '.join(found.fields)}", panels, names)
+    shown = (
+        ", ".join(found.fields) if len(found.fields) < 4 else f"{len(found.fields)} light fields"
+    )
+    return maps(f"What {found.link} displays suggested for {shown} can show", panels, names)

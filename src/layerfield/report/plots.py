@@ -298,7 +298,7 @@ def maps(title: str, panels: Sequence[Map], names: Axes3) -> Figure:
         )  # fmt: skip
         axes.contour(array, levels=[0.5], colors="black", linewidths=0.8, extent=extent)
         for mark in panel.marks:
-            axes.axvline(mark, color="white", lw=1.6, linestyle="--")
+            axes.axvline(mark, color="#d1142e", lw=1.6, linestyle="--")
         axes.set_title(panel.title, fontsize=_TEXT, color=_INK)
         axes.tick_params(labelsize=_SMALL, labelbottom=True)
     for axes in all_axes[len(panels) :]:

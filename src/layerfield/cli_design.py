@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from layerfield.cli_options import Force, Out, recorded, with_field_options
-from layerfield.design import LARGEST, design, parse_layers, refuse_unfit
+from layerfield.design import LARGEST, design, parse_layers
 from layerfield.io import FieldOptions, load_light_field, refuse_existing, whole_directory
 from layerfield.light_field import LightField
 from layerfield.links import LINKS
@@ -37,7 +37,6 @@ def design_command(
     with whole_directory(out, force=force) as temporary, status() as tick:
         tick("reading")
         fields = told_apart([_load(path, options) for path in paths], paths)
-        refuse_unfit(fields)
         found = design(fields, link, counts, tick=tick)
         alone = [design([f], link, counts, tick=tick) for f in fields] if len(fields) > 1 else []
         facts = recorded(options) | {"made_with": provenance(fields[0].views.device)}

@@ -48,6 +48,11 @@ def fractional(link: str) -> Display:
     return Display(DisparitySpec(link=link, disparity=(1.0, 0.25, -0.6), views=(3, 4)))  # pyright: ignore[reportArgumentType]
 
 
+def two_layers(link: str) -> Display:
+    """With two layers the other one alone is the derivative of a product."""
+    return Display(DisparitySpec(link=link, disparity=(1.0, -1.0), views=(3, 3)))  # pyright: ignore[reportArgumentType]
+
+
 def shown(display: Display, size=(40, 36), seed=1) -> tuple[torch.Tensor, LightField]:
     """Smooth random layers and the views they show: a target that can be met exactly."""
     torch.manual_seed(seed)
@@ -79,7 +84,7 @@ def test_targets_that_can_be_shown_are_met(method, link, make):
 
 
 @pytest.mark.parametrize("link", sorted(LINKS))
-@pytest.mark.parametrize("make", [lambda link: Display.load(PRESETS[link]), fractional])
+@pytest.mark.parametrize("make", [lambda link: Display.load(PRESETS[link]), fractional, two_layers])
 def test_plain_sweeps_descend_and_keep_an_exact_solution(link, make):
     """The shorter quotient A^T(o L) / A^T(o^2) would blur an exact solution at fractions."""
     display = make(link)

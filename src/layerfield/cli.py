@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from layerfield.cli_design import design_command
 from layerfield.cli_options import (
     Bits,
     Device,
@@ -282,6 +283,7 @@ def methods() -> None:
     say(f"{CHAIN_ITERATIONS} iterations of a solver.")
 
 
+app.command(name="design")(design_command)
 app.command(name="train")(train_command)
 app.command(name="reproduce")(reproduce_command)
 

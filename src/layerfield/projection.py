@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import torch
-from jaxtyping import Float, Inexact
+from jaxtyping import Complex, Float, Inexact
 from torch import Tensor
 
 from layerfield.geometry import Point
@@ -153,20 +153,21 @@ class Projection:
         """The one-dimensional transfer functions `[view, layer, frequency]` along x or y."""
         return torch.stack(
             [
-                torch.stack(
-                    [
-                        sum_of(
-                            [
-                                weight * torch.exp(2j * math.pi * frequencies * offset)
-                                for offset, weight in _taps(shift[axis])
-                            ]
-                        )
-                        for shift in layers
-                    ]
-                )
+                torch.stack([response(shift[axis], frequencies) for shift in layers])
                 for layers in self.shifts
             ]
         )
+
+
+def response(shift: float, frequencies: Float[Tensor, " f"]) -> Complex[Tensor, " f"]:
+    """Return exp(2 pi i f shift) times the response of the interpolation, in one direction.
+
+    Args:
+        shift: pixels.
+        frequencies: cycles per pixel.
+    """
+    taps = _taps(shift)
+    return sum_of([w * torch.exp(2j * math.pi * frequencies * offset) for offset, w in taps])
 
 
 def sum_of(parts: Sequence[Tensor]) -> Tensor:

@@ -254,6 +254,67 @@ def stacked_bars(title: str, panels: Sequence[Bars], parts: Sequence[str]) -> Fi
     return figure
 
 
+@dataclass(frozen=True, eq=False)
+class Map:
+    """A value from 0 to 1 over two axes.
+
+    Args:
+        title: above it.
+        values: `[y, x]`.
+        x_range: first and last x.
+        y_range: first and last y.
+        marks: x of vertical lines.
+    """
+
+    title: str
+    values: Float[Tensor, "y x"]
+    x_range: tuple[float, float]
+    y_range: tuple[float, float]
+    marks: Sequence[float]
+
+
+@dataclass(frozen=True)
+class Axes3:
+    """What the axes of maps say: names with units, of x, y and the value, and of the marks."""
+
+    x: str
+    y: str
+    value: str
+    marks: str
+
+
+def maps(title: str, panels: Sequence[Map], names: Axes3) -> Figure:
+    """Draw maps in rows of up to three with one scale of colours, its middle as a contour."""
+    columns = min(len(panels), 3)
+    rows = -(-len(panels) // columns)
+    figure = _figure(max(4.0 * columns + 1.0, 6.5), 3.1 * rows + 1.0, title)
+    all_axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).flatten()
+    image = None
+    for axes, panel in zip(all_axes, panels, strict=False):
+        array, extent = panel.values.cpu().numpy(), (*panel.x_range, *panel.y_range)
+        image = axes.imshow(
+            array, cmap="cividis", vmin=0, vmax=1, extent=extent, origin="lower", aspect="auto",
+            interpolation="nearest",
+        )  # fmt: skip
+        axes.contour(array, levels=[0.5], colors="black", linewidths=0.8, extent=extent)
+        for mark in panel.marks:
+            axes.axvline(mark, color="#d1142e", lw=1.6, linestyle="--")
+        axes.set_title(panel.title, fontsize=_TEXT, color=_INK)
+        axes.tick_params(labelsize=_SMALL, labelbottom=True)
+    for axes in all_axes[len(panels) :]:
+        axes.set_axis_off()
+    for axes in all_axes[: len(panels)]:
+        axes.set_xlabel(names.x, fontsize=_TEXT)
+    for axes in all_axes[::columns]:
+        axes.set_ylabel(names.y, fontsize=_TEXT)
+    assert image is not None  # there is at least one panel
+    scale = figure.colorbar(image, ax=all_axes.tolist(), pad=0.02)
+    scale.set_label(names.value, fontsize=_TEXT)
+    scale.ax.tick_params(labelsize=_SMALL)
+    figure.supxlabel(names.marks, fontsize=_SMALL, color=_MUTED)
+    return figure
+
+
 def save(figure: Figure, path: Path) -> None:
     """Write a figure as PNG, without the time of day."""
     FigureCanvasAgg(figure)

@@ -32,11 +32,12 @@ def view(layers: np.ndarray, shifts, margin, product: bool) -> np.ndarray:
     return result
 
 
-def traced_view(layers, viewpoint, depths, pitch, margin, product: bool) -> np.ndarray:
+def traced_view(layers, viewpoint, depths, pitch, margin, product: bool, scales=None) -> np.ndarray:
     """One view by tracing rays from (X, Y, Z) through pixels to layers on their scaled grids.
 
     The ray through (x, y, 0) meets depth z at x (1 - z / Z) + X z / Z; the pixels of that layer are
-    (1 - z / Z) times as large as those of the display plane. All lengths in metres.
+    (1 - z / Z), or the scale given, times as large as those of the display plane. All lengths in
+    metres.
     """
     ex, ey, ez = viewpoint
     my, mx = margin
@@ -47,9 +48,9 @@ def traced_view(layers, viewpoint, depths, pitch, margin, product: bool) -> np.n
             x = (column - (width - 1) / 2) * pitch
             y = (row - (height - 1) / 2) * pitch
             met = []
-            for layer, z in zip(layers, depths, strict=True):
+            for k, (layer, z) in enumerate(zip(layers, depths, strict=True)):
                 hit_x, hit_y = x * (1 - z / ez) + ex * z / ez, y * (1 - z / ez) + ey * z / ez
-                own = pitch * (1 - z / ez)
+                own = pitch * (1 - z / ez if scales is None else scales[k])
                 met.append(
                     sample(
                         layer,

@@ -232,6 +232,29 @@ def test_simulate_a_plain_folder(desk, made):
     assert contents(desk / "same" / "views") == contents(made / "views")
 
 
+def test_simulate_what_eyes_see(desk, made):
+    """Eyes at viewpoints see these views; others see what their place and distance shows."""
+    places = ["--eye", "-2,-2", "--eye", "0,1", "--eye", "0.5,0,300"]
+    succeed("simulate", made, "--out", "seen", *places, "--array")
+    names = sorted(path.name for path in (desk / "seen/views").iterdir())
+    assert names == ["eye_00.png", "eye_01.png", "eye_02.png"]
+    for name, view in (("eye_00", "view_00_00"), ("eye_01", "view_03_02")):
+        seen, shown = desk / f"seen/views/{name}.png", made / f"views/{view}.png"
+        assert seen.read_bytes() == shown.read_bytes()
+    assert np.load(desk / "seen/views.npy").shape == (1, 3, HEIGHT, WIDTH, 3)
+
+
+def test_eyes_in_millimetres(desk):
+    succeed(*SYNTH[:-4], "--display", "perspective-3", "--out", "out", "--simulate")
+    edge = 500 * np.tan(np.radians(4))
+    places = ["--eye", f"{edge},0", "--eye", f"{edge},0,500", "--eye", f"{edge},0,1000"]
+    succeed("simulate", "out", "--out", "seen", *places)
+    one, two, far = (read(path) for path in sorted((desk / "seen/views").iterdir()))
+    assert np.array_equal(one, read(desk / "out/views/view_02_04.png"))
+    assert np.array_equal(one, two)
+    assert not np.array_equal(one, far)
+
+
 @pytest.mark.parametrize("bits", ["8", "16"])
 def test_grey_fields_give_grey_layers(desk, bits):
     write_views(desk / "grey", channels=1)
@@ -717,6 +740,26 @@ OPTIONS = [
     case("other grid", [*EVALUATE, "--methods", "nmf", "--views", "3x3"], "3x3|expects 5x5"),
 ]
 
+EYES = [
+    case(f"eye at {eye!r}", [*SIMULATE, "--eye", eye], f"eye is '{eye}'|X,Y,Z", result)
+    for eye in ("left", "", "1", "1,", "1,2,3,4", "nan,0", "0,inf", "1e99,0", "0;1")
+] + [
+    case("an eye behind", [*SIMULATE, "--eye", "0,0,-100"], "-100 px|behind|more than 1", result),
+    case("an eye in a layer", [*SIMULATE, "--eye", "0,0,1"], "1 px|at or behind", result),
+    case(
+        "an eye in a layer at 12 mm",
+        [*SIMULATE, "--eye", "0,0", "--eye", "0,0,12", "--display", "perspective-3"],
+        "12 mm|at or behind the front layer|more than 12",
+        result,
+    ),
+    case(
+        "an eye without a distance",
+        [*SIMULATE, "--eye", "0,0", "--display", "d.toml"],
+        "parallel|X,Y,Z",
+        result_with("../d.toml", DEEP.replace("= 500", "= inf")),
+    ),
+]
+
 OUTPUTS = [
     case("out exists", SYNTH, "out exists|force", lambda d: (d / "out").mkdir()),
     case("out is a file", [*SYNTH, "--force"], "out|it is a file", put("out", "mine")),
@@ -789,7 +832,9 @@ OUTPUTS = [
 ]
 
 
-@pytest.mark.parametrize(("prepare", "args", "words"), [*FIELDS, *DISPLAYS, *OPTIONS, *OUTPUTS])
+@pytest.mark.parametrize(
+    ("prepare", "args", "words"), [*FIELDS, *DISPLAYS, *OPTIONS, *EYES, *OUTPUTS]
+)
 def test_one_line_and_no_traces(desk, prepare, args, words):
     prepare(desk)
     before = contents(desk)

@@ -26,6 +26,7 @@ from layerfield.disparity import estimate_disparity
 from layerfield.display import Display, preset_names
 from layerfield.display_spec import format_spec
 from layerfield.evaluate import evaluate, parse_methods, write_rows
+from layerfield.eyes import Eye, look, write_eyes
 from layerfield.io import (
     FieldOptions,
     field_name,
@@ -54,8 +55,8 @@ from layerfield.result import (
     display_of,
     make_result,
     margin_of,
+    mount,
     read_layers,
-    simulate,
     write_result,
     write_views,
     write_views_array,
@@ -75,6 +76,7 @@ app = typer.Typer(
 )
 _SMALLEST = 11  # pixels of a view, the window of SSIM
 _METHOD = "a name that `methods` lists, FILE.safetensors, or NETWORK+SOLVER"
+_EYE = "X,Y[,Z] in mm, or X,Y in view steps: what an eye there sees; repeatable"
 _METHODS = "such names, as a,b:100 (iterations),c+b:3"
 
 
@@ -197,13 +199,14 @@ def simulate_command(
     margin: Annotated[
         int | None, typer.Option("--margin", help="pixels by which layers exceed the views")
     ] = None,
+    eye: Annotated[list[str] | None, typer.Option("--eye", help=_EYE)] = None,
     bits: Bits = 8,
     array: Annotated[
         bool, typer.Option("--array", help="write views.npy, unclipped float32, as well")
     ] = False,
     force: Force = False,
 ) -> None:
-    """Write the views that viewers of these layers see."""
+    """Write the views that viewers of these layers see; or what eyes anywhere see."""
     largest_code(bits)
     refuse_existing(out, force=force)
     keep_inputs(out, folder, own_file(display))
@@ -212,12 +215,18 @@ def simulate_command(
         shown_on = Display.load(display)
     if shown_on is None:
         raise ValueError(f"{folder} holds no display.toml; say which display with --display")
+    eyes = [Eye.parse(text, shown_on) for text in eye or ()]
     given = margin_of(folder) if margin is None else (margin, margin)
-    views = simulate(layers, shown_on, shown_on.margin if given is None else given)
+    mounted = mount(layers, shown_on, shown_on.margin if given is None else given)
+    views = look(mounted, shown_on, eyes) if eyes else shown_on(mounted)
     with whole_directory(out, force=force) as temporary:
-        write_views(temporary / "views", views, shown_on, bits)
+        if eyes:
+            write_eyes(temporary / "views", views, bits)
+        else:
+            write_views(temporary / "views", views, shown_on, bits)
         if array:
-            write_views_array(temporary / "views.npy", views, shown_on)
+            grid = (1, len(eyes)) if eyes else shown_on.geometry.grid or (1, len(views))
+            write_views_array(temporary / "views.npy", views, grid)
         (temporary / "display.toml").write_text(format_spec(shown_on.spec), "utf-8")
     say(f"{len(views)} views are in {out / 'views'}")
 

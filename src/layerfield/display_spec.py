@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -42,6 +43,17 @@ class _Spec(BaseModel):
         """Return the geometry in metres (or pixels, for displays in pixel disparities)."""
         raise NotImplementedError
 
+    def eye(self, position: Sequence[float]) -> tuple[Point, float | None]:
+        """Return slope and distance of an eye for `Display.look`, from the units of the file.
+
+        Args:
+            position: X, Y, and perhaps how far the eye is.
+
+        Raises:
+            ValueError: the eye is at or behind a layer, or its distance is missing.
+        """
+        raise NotImplementedError
+
 
 class DisparitySpec(_Spec):
     """A display in pixel disparities: layer k shifts by `disparity[k]` pixels from view to view.
@@ -58,6 +70,12 @@ class DisparitySpec(_Spec):
     def geometry(self) -> Geometry:
         points = _one_of(self.views, self.viewpoints, "viewpoints", (1.0, 1.0))
         return Geometry(slopes=points, depths=self.disparity, grid=self.views)
+
+    def eye(self, position: Sequence[float]) -> tuple[Point, float | None]:
+        x, y, *distance = position
+        if distance:
+            _refuse_near(distance[0], self.disparity[0], "px from viewpoint to viewpoint")
+        return (x, y), distance[0] if distance else None
 
 
 class PhysicalSpec(_Spec):
@@ -97,6 +115,17 @@ class PhysicalSpec(_Spec):
             grid=self.views,
         )
 
+    def eye(self, position: Sequence[float]) -> tuple[Point, float | None]:
+        x, y, *rest = position
+        distance = rest[0] if rest else self.viewing_distance_mm
+        if math.isinf(distance):
+            raise ValueError(
+                f"light paths of display '{self.name}' are parallel; say where the eye is as "
+                "X,Y,Z, in millimetres"
+            )
+        _refuse_near(distance, self.depth_mm[0], "mm")
+        return (x / distance, y / distance), distance * 1e-3
+
     def _step(self) -> Point:
         if self.views is None or self.viewing_angle_deg is None:
             return (0.0, 0.0)
@@ -119,6 +148,14 @@ def _refuse_far_shifts(geometry: Geometry) -> None:
         raise ValueError(
             f"the outermost views shift the layers by up to {shift:.0f} px, expected at most "
             f"{_WIDEST_MARGIN}; check the numbers and their units"
+        )
+
+
+def _refuse_near(distance: float, front: float, unit: str) -> None:
+    if not distance > max(front, 0):
+        raise ValueError(
+            f"the eye is at a distance of {distance:g} {unit}, at or behind the front layer at "
+            f"{front:g}; expected more than {max(front, 0):g}"
         )
 
 

@@ -132,9 +132,10 @@ def write_views(
         write_png(folder / f"view_{i // columns:02d}_{i % columns:02d}.png", view.cpu())
 
 
-def write_views_array(path: Path, views: Float[Tensor, "view c y x"], display: Display) -> None:
+def write_views_array(
+    path: Path, views: Float[Tensor, "view c y x"], grid: tuple[int, int]
+) -> None:
     """Write unclipped float32 views as `.npy`, `[row, column, y, x, c]`."""
-    grid = display.geometry.grid or (1, display.view_count)
     array = views.cpu().unflatten(0, grid).movedim(2, -1).numpy()
     np.save(path, array.astype(np.float32), allow_pickle=False)
 
@@ -194,7 +195,14 @@ def margin_of(folder: str | Path) -> tuple[int, int] | None:
 def simulate(
     layers: Float[Tensor, "layer c ly lx"], display: Display, margin: tuple[int, int]
 ) -> Float[Tensor, "view c y x"]:
-    """Return the unclipped views that layers show.
+    """Return the unclipped views that layers show; see `mount` for the arguments and errors."""
+    return display(mount(layers, display, margin))
+
+
+def mount(
+    layers: Float[Tensor, "layer c ly lx"], display: Display, margin: tuple[int, int]
+) -> Float[Tensor, "1 layer c ly2 lx2"]:
+    """Return layers with the margin of a display.
 
     Args:
         layers: values, 0 to 1, front to back.
@@ -215,7 +223,7 @@ def simulate(
             f"layers of {_size(layers)} with a margin of {margin[1]}x{margin[0]} px show no views; "
             "give a smaller --margin, 0 or more"
         )
-    return display(display.surround(layers, display.margin, margin).unsqueeze(-5))
+    return display.surround(layers, display.margin, margin).unsqueeze(-5)
 
 
 def _layer_files(folder: Path) -> list[Path]:

@@ -60,10 +60,11 @@ def test_lower_rooms_do_not_import_higher_ones():
     order = [
         "version", "nearest", "own_process", "toml_model", "geometry", "light_field", "projection",
         "warped_projection", "gram", "links", "composition", "display_spec", "display", "panels",
-        "solve", "solvers", "networks", "metrics", "provenance", "scenes", "io", "eyes",
+        "solve", "between", "solvers", "networks", "metrics", "provenance", "scenes", "io", "eyes",
         "plane_sweep", "disparity", "weights", "methods", "synthesizer", "reference", "evaluate",
         "result", "training", "report", "demo", "reproduction", "terminal", "process",
-        "cli_options", "refusals", "cli_reproduction", "cli_training", "cli", "__main__",
+        "cli_options", "refusals", "cli_fields", "cli_reproduction", "cli_training",
+        "cli", "__main__",
     ]  # fmt: skip
     source = ROOT / "src" / "layerfield"
     for file in source.rglob("*.py"):

@@ -16,6 +16,7 @@ Count = Annotated[int, Field(strict=True, ge=1)]
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Grid = tuple[Count, Count]
 Viewpoints = tuple[tuple[Number, Number], ...]
+PlacedViewpoints = tuple[tuple[Number, Number, Number], ...]
 Depths = Annotated[tuple[Number, ...], Field(min_length=1, max_length=8)]
 
 _MOST_VIEWS = 10_000
@@ -84,44 +85,74 @@ class PhysicalSpec(_Spec):
     Args:
         depth_mm: distance of every layer from the display plane toward the viewer, front to back.
         pitch_um: pixel pitch on the display plane, micrometres.
-        viewing_distance_mm: from the display plane to the viewpoints; `inf` for orthographic.
+        viewing_distance_mm: from the display plane to the viewpoints; `inf` for orthographic. Left
+            out where `viewpoints_mm` holds distances.
         views: rows and columns of the view grid, spread over
         viewing_angle_deg: the angle between its outermost viewpoints seen from the centre of the
             display, along its longer side (the step is the same along both) or [horizontal,
             vertical]; or else
-        viewpoints_mm: (x, y) of every viewpoint on its plane, at a finite distance.
+        viewpoints_mm: (x, y) of every viewpoint on its plane, at a finite distance; or (x, y, z),
+            where z, its own distance, is that from the display plane.
     """
 
     depth_mm: Depths
     pitch_um: Annotated[Number, Field(gt=0)]
-    viewing_distance_mm: Annotated[float, Field(strict=True, gt=0)]
+    viewing_distance_mm: Annotated[float, Field(strict=True, gt=0)] | None = None
     viewing_angle_deg: Number | tuple[Number, Number] | None = None
-    viewpoints_mm: Viewpoints | None = None
+    viewpoints_mm: Viewpoints | PlacedViewpoints | None = None
 
     def geometry(self) -> Geometry:
         if self.views is not None and self.viewing_angle_deg is None:
             raise ValueError("'viewing_angle_deg' is missing; it says how far apart the views are")
-        if self.viewpoints_mm is not None and math.isinf(self.viewing_distance_mm):
-            raise ValueError("'viewpoints_mm' needs a finite 'viewing_distance_mm'")
-        listed = self.viewpoints_mm and tuple(
-            (x / self.viewing_distance_mm, y / self.viewing_distance_mm)
-            for x, y in self.viewpoints_mm
-        )
+        placed = self._placed()
+        distances = tuple(z * 1e-3 for _, _, z in placed)
         return Geometry(
-            slopes=_one_of(self.views, listed, "viewpoints_mm", self._step()),
+            slopes=_one_of(
+                self.views,
+                tuple((x / z, y / z) for x, y, z in placed) or None,
+                "viewpoints_mm",
+                self._step(),
+            ),
             depths=tuple(z * 1e-3 for z in self.depth_mm),
             pitch=self.pitch_um * 1e-6,
-            distance=self.viewing_distance_mm * 1e-3,
+            distance=distances if len(set(distances)) > 1 else self._distance() * 1e-3,
             grid=self.views,
         )
 
+    def _distance(self) -> float:
+        """Where the viewpoints are, unless they have distances of their own that differ."""
+        own = {point[2] for point in self.viewpoints_mm or () if len(point) == 3}
+        if self.viewing_distance_mm is None and not own:
+            raise ValueError("the key 'viewing_distance_mm' is missing")
+        if self.viewing_distance_mm is not None and own:
+            raise ValueError(
+                "'viewpoints_mm' holds distances, and there is a 'viewing_distance_mm'; leave out "
+                "either"
+            )
+        return own.pop() if len(own) == 1 else self.viewing_distance_mm or math.nan
+
+    def _placed(self) -> PlacedViewpoints:
+        """The viewpoints listed, each with its distance."""
+        common = self._distance()
+        if self.viewpoints_mm is not None and math.isinf(common):
+            raise ValueError("'viewpoints_mm' needs a finite 'viewing_distance_mm'")
+        placed = tuple(p if len(p) == 3 else (*p, common) for p in self.viewpoints_mm or ())
+        nearest = min((z for _, _, z in placed), default=math.inf)
+        if not nearest > max(self.depth_mm[0], 0):
+            raise ValueError(
+                f"a viewpoint is {nearest:g} mm away, at or behind the front layer at "
+                f"{self.depth_mm[0]:g} mm; move it away from the display"
+            )
+        return placed
+
     def eye(self, position: Sequence[float]) -> tuple[Point, float | None]:
         x, y, *rest = position
-        distance = rest[0] if rest else self.viewing_distance_mm
-        if math.isinf(distance):
+        distance = rest[0] if rest else self._distance()
+        if not math.isfinite(distance):
+            paths = "are parallel" if math.isinf(distance) else "come from different distances"
             raise ValueError(
-                f"light paths of display '{self.name}' are parallel; say where the eye is as "
-                "X,Y,Z, in millimetres"
+                f"light paths of display '{self.name}' {paths}; say where the eye is as X,Y,Z, in "
+                "millimetres"
             )
         _refuse_near(distance, self.depth_mm[0], "mm")
         return (x / distance, y / distance), distance * 1e-3

@@ -87,6 +87,21 @@ class Geometry:
         return (self.distance,) * len(self.slopes)
 
     @property
+    def is_regular(self) -> bool:
+        """Whether all viewpoints lie at one distance, so that layers are only shifted."""
+        return len(set(self.distances)) == 1
+
+    @property
+    def approaches(self) -> tuple[float, ...]:
+        """How much the slope of light paths grows per pixel of each view, (1/Z_0 - 1/Z) pitch.
+
+        1/Z_0 is the mean over the viewpoints. An eye at another distance sees every pixel as an
+        eye at Z_0 would that is elsewhere; it is how `scenes.render` takes distances.
+        """
+        inverse = [1 / distance for distance in self.distances]
+        return tuple((sum(inverse) / len(inverse) - near) * self.pitch for near in inverse)
+
+    @property
     def parallax(self) -> tuple[float, ...]:
         """Pixels by which each layer shifts for a slope of one, front to back."""
         return tuple(
@@ -129,6 +144,23 @@ class Geometry:
     def shifts_toward(self, slope: Point) -> tuple[Point, ...]:
         """The shift of every layer for an eye anywhere, whose slope is (X / Z, Y / Z)."""
         return tuple((_snap(slope[0] * p), _snap(slope[1] * p)) for p in self.parallax)
+
+    def slope_at(self, position: Point) -> Point:
+        """Return the slope of an eye at (x, y) view steps from the centre of the view grid.
+
+        Raises:
+            ValueError: the viewpoints form no grid.
+        """
+        if self.grid is None:
+            raise ValueError(
+                "the viewpoints are a list; view steps between them need a grid ('views')"
+            )
+        (left, top), (right, bottom) = self.slopes[0], self.slopes[-1]
+        rows, columns = self.grid
+        step = (right - left) / max(columns - 1, 1), (bottom - top) / max(rows - 1, 1)
+        return (left + right) / 2 + position[0] * step[0], (top + bottom) / 2 + position[1] * step[
+            1
+        ]
 
     @property
     def margin(self) -> tuple[int, int]:

@@ -29,8 +29,9 @@ from layerfield.metrics import excess, mean_square_error
 from layerfield.panels import dequantise, quantise
 from layerfield.provenance import provenance
 from layerfield.reference import Reference
-from layerfield.solve import Problem, Solution
+from layerfield.solve import Solution
 from layerfield.solvers.rounding import panel_codes
+from layerfield.synthesizer import pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +72,7 @@ def make_result(
         reference: the optimum or best known, if it was computed.
         options: how the light field was read, to be recorded.
     """
-    problem = Problem.of(display, field.views)
+    problem = pose(field, display)
     codes = panel_codes(problem, solution.layers, bits=bits, rounding=rounding)
     layers = dequantise(codes)
     error = mean_square_error(display(layers), field.views)

@@ -8,6 +8,7 @@ whose fraction grows from pixel to pixel.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
@@ -27,7 +28,7 @@ _OUTSIDE = 1e-6  # pixels by which rounding may carry a light path past the last
 class WarpedProjection(Projection):
     """A for one set of shifts and magnifications; the interface of `Projection`.
 
-    `symbol` is that of the shifts alone.
+    Its Gram matrix is no small matrix per frequency; that of `shifts_only` is near it.
 
     Args:
         shifts: `[view][layer] = (x, y)` in pixels.
@@ -37,6 +38,10 @@ class WarpedProjection(Projection):
     """
 
     magnifications: tuple[tuple[float, ...], ...]
+
+    @property
+    def shifts_only(self) -> Projection:
+        return Projection(self.shifts, self.margin)
 
     def window(
         self, layer: Float[Tensor, "*batch ly lx"], view: int, index: int
@@ -57,6 +62,12 @@ class WarpedProjection(Projection):
         wide = values.new_zeros(*values.shape[:-1], layer.shape[-1])
         _spread_(wide, values, columns, -1)
         _spread_(layer, wide.mul_(factor), rows, -2)
+
+    def symbol(self, size: tuple[int, int], weights: Sequence[float]) -> Tensor:
+        raise ValueError(
+            "viewpoints at different distances have no Fourier solution; take the method "
+            "fourier-admm, which starts from the nearest one, or sweeps, gradient or sart"
+        )
 
     def _runs(
         self, view: int, index: int, size: tuple[int, int]

@@ -181,6 +181,29 @@ def test_every_command_of_the_page_on_networks_runs(tmp_path):
             read_recipe(recipe)
 
 
+def test_every_command_of_the_page_on_eyes_runs(tmp_path, monkeypatch):
+    page = (ROOT / "docs" / "eyes.md").read_text("utf-8")
+    monkeypatch.chdir(tmp_path)
+    nine = parse_spec('link = "additive"\ndisparity = [1, 0]\nviews = [9, 9]', "nine")
+    field = layerfield.procedural_light_field(grid=(9, 9), size=(40, 48))
+    write_views(tmp_path / "my-views", field.views, Display(nine), 8)
+    (toml,) = re.findall(r"```toml\n(.*?)```", page, flags=re.DOTALL)
+    Path("two-eyes.toml").write_text(toml, "utf-8")
+    two = Display.load("two-eyes.toml")
+    write_views(tmp_path / "my-eyes", field.views[:2], two, 8)
+    three = 'name = "three"\nlink = "additive"\ndisparity = [1, 0, -1]\nviews = [3, 3]\n'
+    Path("3x3.toml").write_text(three, "utf-8")
+    for command in commands_in(page):
+        name, *words = command.split()
+        done = subprocess.run(
+            [Path(sys.executable).parent / name, *words],
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, f"{command}\n{done.stderr}"
+    for block in re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL):
+        exec(compile(block, "eyes.md", "exec"), {})
+
+
 def test_every_python_block_of_the_readme_runs(tmp_path, monkeypatch):
     readme = (ROOT / "README.md").read_text("utf-8")
     field = layerfield.procedural_light_field(size=(40, 48))

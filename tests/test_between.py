@@ -153,6 +153,14 @@ def test_problem_with_eyes_is_that_of_a_denser_grid(field, around):
         torch.testing.assert_close(problem.view(layers, i), expected[eye])
 
 
+def test_networks_ignore_targets_between_and_what_follows_them_does_not(field):
+    display = Display.load("additive-3")
+    asked = replace(field, between=interpolated_between(field))
+    for method, alike in (("stacked-cnn", True), ("stacked-cnn+sweeps", False)):
+        plain, served = (synthesize(f, display, method=method).layers for f in (field, asked))
+        assert torch.equal(plain, served) is alike
+
+
 def test_nothing_between(field):
     with pytest.raises(ValueError, match=r"no views between .*--step 2"):
         given_between(EyeViews(field.views, grid_points((5, 5))), field)

@@ -17,7 +17,14 @@ def sample(layer: np.ndarray, y: float, x: float) -> float:
     return total
 
 
-def view(layers: np.ndarray, shifts, margin, product: bool) -> np.ndarray:
+def composed(met: list[float], link: str) -> float:
+    """The light of a path that meets these pixels."""
+    if link == "multiplicative":
+        return math.prod(met)
+    return math.sin(math.pi / 2 * sum(met)) ** 2 if link == "polarisation" else sum(met)
+
+
+def view(layers: np.ndarray, shifts, margin, link: str) -> np.ndarray:
     """One view of `[layer, y, x]`, pixel by pixel."""
     my, mx = margin
     height, width = layers.shape[1] - 2 * my, layers.shape[2] - 2 * mx
@@ -28,15 +35,16 @@ def view(layers: np.ndarray, shifts, margin, product: bool) -> np.ndarray:
                 sample(layer, y + my + dy, x + mx + dx)
                 for layer, (dx, dy) in zip(layers, shifts, strict=True)
             ]
-            result[y, x] = math.prod(met) if product else sum(met)
+            result[y, x] = composed(met, link)
     return result
 
 
-def traced_view(layers, viewpoint, depths, pitch, margin, product: bool) -> np.ndarray:
+def traced_view(layers, viewpoint, depths, pitch, margin, link: str, scales=None) -> np.ndarray:
     """One view by tracing rays from (X, Y, Z) through pixels to layers on their scaled grids.
 
     The ray through (x, y, 0) meets depth z at x (1 - z / Z) + X z / Z; the pixels of that layer are
-    (1 - z / Z) times as large as those of the display plane. All lengths in metres.
+    (1 - z / Z), or the scale given, times as large as those of the display plane. All lengths in
+    metres.
     """
     ex, ey, ez = viewpoint
     my, mx = margin
@@ -47,9 +55,9 @@ def traced_view(layers, viewpoint, depths, pitch, margin, product: bool) -> np.n
             x = (column - (width - 1) / 2) * pitch
             y = (row - (height - 1) / 2) * pitch
             met = []
-            for layer, z in zip(layers, depths, strict=True):
+            for k, (layer, z) in enumerate(zip(layers, depths, strict=True)):
                 hit_x, hit_y = x * (1 - z / ez) + ex * z / ez, y * (1 - z / ez) + ey * z / ez
-                own = pitch * (1 - z / ez)
+                own = pitch * (1 - z / ez if scales is None else scales[k])
                 met.append(
                     sample(
                         layer,
@@ -57,5 +65,5 @@ def traced_view(layers, viewpoint, depths, pitch, margin, product: bool) -> np.n
                         hit_x / own + (width - 1) / 2 + mx,
                     )
                 )
-            result[row, column] = math.prod(met) if product else sum(met)
+            result[row, column] = composed(met, link)
     return result

@@ -24,7 +24,7 @@ import h5py
 import numpy as np
 import pytest
 
-from layerfield import cli
+from layerfield import cli, cli_fields
 from layerfield.version import __version__
 
 COMMAND = Path(sys.executable).with_name("layerfield")
@@ -232,6 +232,39 @@ def test_simulate_a_plain_folder(desk, made):
     assert contents(desk / "same" / "views") == contents(made / "views")
 
 
+def test_simulate_what_eyes_see(desk, made):
+    """Eyes at viewpoints see these views; others see what their place and distance shows."""
+    places = ["--eye", "-2,-2", "--eye", "0,1", "--eye", "0.5,0,300"]
+    succeed("simulate", made, "--out", "seen", *places, "--array")
+    names = sorted(path.name for path in (desk / "seen/views").iterdir())
+    assert names == ["eye_00.png", "eye_01.png", "eye_02.png"]
+    for name, view in (("eye_00", "view_00_00"), ("eye_01", "view_03_02")):
+        seen, shown = desk / f"seen/views/{name}.png", made / f"views/{view}.png"
+        assert seen.read_bytes() == shown.read_bytes()
+    assert np.load(desk / "seen/views.npy").shape == (1, 3, HEIGHT, WIDTH, 3)
+
+
+def test_eyes_in_millimetres(desk):
+    succeed(*SYNTH[:-4], "--display", "perspective-3", "--out", "out", "--simulate")
+    edge = 500 * np.tan(np.radians(4))
+    places = ["--eye", f"{edge},0", "--eye", f"{edge},0,500", "--eye", f"{edge},0,1000"]
+    succeed("simulate", "out", "--out", "seen", *places)
+    one, two, far = (read(path) for path in sorted((desk / "seen/views").iterdir()))
+    assert np.array_equal(one, read(desk / "out/views/view_02_04.png"))
+    assert np.array_equal(one, two)
+    assert not np.array_equal(one, far)
+
+
+def test_eyes_at_different_distances(desk):
+    (desk / "d.toml").write_text(APART)
+    succeed("synth", "views", "--views", "1x2", *OWN[2:], "--simulate", "--reference")
+    assert len(list((desk / "out/views").iterdir())) == 2
+    succeed("simulate", "out", "--out", "seen", "--eye", "-32,0,500", "--eye", "32,0,560")
+    for eye, view in (("eye_00", "view_00_00"), ("eye_01", "view_00_01")):
+        seen, shown = read(desk / f"seen/views/{eye}.png"), read(desk / f"out/views/{view}.png")
+        assert np.array_equal(seen, shown)
+
+
 @pytest.mark.parametrize("bits", ["8", "16"])
 def test_grey_fields_give_grey_layers(desk, bits):
     write_views(desk / "grey", channels=1)
@@ -358,6 +391,34 @@ def test_evaluate_in_its_own_processes(desk):
         assert re.search(r"; optimum \d\d\.\d\d dB, excess \d+\.\d%", out)
     found = json.loads((desk / "out" / "result.json").read_text())
     assert found["reference"]["psnr"] == rows[0]["reference_psnr"] > found["psnr"] - 0.01
+
+
+def test_evaluate_between(desk):
+    """Every second view is shown, those between are judged, or are targets, too."""
+    every_second = ["--step", "2", "--views", "3x3", "--display", "d.toml"]
+    (desk / "d.toml").write_text(FLAT.replace("[5, 5]", "[3, 3]"))
+    args = [
+        "--methods",
+        "fourier-admm:40",
+        "--between",
+        "--eye-map",
+        "m.png",
+        "--json",
+        "rows.json",
+    ]
+    assert "between" in succeed("evaluate", "views", *every_second, *args).split()
+    assert read(desk / "m.png").shape[0] > 100
+    (plain,) = json.loads((desk / "rows.json").read_text())
+    assert len(plain["eyes"]) == 25
+    targets = ["--targets-between", "given:1", "--force"]
+    succeed("evaluate", "views", *every_second, *args, *targets)
+    (row,) = json.loads((desk / "rows.json").read_text())
+    assert row["psnr_between"] > plain["psnr_between"]
+    assert row["psnr"] < plain["psnr"]
+    assert row["details"]["weight_between"] == 1
+    succeed("synth", "views", *every_second, *targets, "--out", "out")
+    facts = json.loads((desk / "out/result.json").read_text())
+    assert facts["field"]["options"]["targets-between"] == "given:1"
 
 
 def test_demo(desk):
@@ -516,6 +577,17 @@ def flat(name: str, old: str, new: str, words: str):
 def deep(name: str, old: str, new: str, words: str):
     assert old in DEEP
     return display(name, DEEP.replace(old, new), words)
+
+
+APART = (
+    'link = "additive"\ndepth_mm = [12, 0, -12]\npitch_um = 400\n'
+    "viewpoints_mm = [[-32, 0, 500], [32, 0, 560]]\n"
+)
+
+
+def apart(name: str, old: str, new: str, words: str):
+    assert old in APART
+    return display(name, APART.replace(old, new), words)
 
 
 LAYERS = "[1, 0, -1]"
@@ -717,6 +789,75 @@ OPTIONS = [
     case("other grid", [*EVALUATE, "--methods", "nmf", "--views", "3x3"], "3x3|expects 5x5"),
 ]
 
+EYES = [
+    case(f"eye at {eye!r}", [*SIMULATE, "--eye", eye], f"eye is '{eye}'|X,Y,Z", result)
+    for eye in ("left", "", "1", "1,", "1,2,3,4", "nan,0", "0,inf", "1e99,0", "0;1")
+] + [
+    case("an eye behind", [*SIMULATE, "--eye", "0,0,-100"], "-100 px|behind|more than 1", result),
+    case("an eye in a layer", [*SIMULATE, "--eye", "0,0,1"], "1 px|at or behind", result),
+    case(
+        "an eye in a layer at 12 mm",
+        [*SIMULATE, "--eye", "0,0", "--eye", "0,0,12", "--display", "perspective-3"],
+        "12 mm|at or behind the front layer|more than 12",
+        result,
+    ),
+    case(
+        "an eye without a distance",
+        [*SIMULATE, "--eye", "0,0", "--display", "d.toml"],
+        "parallel|X,Y,Z",
+        result_with("../d.toml", DEEP.replace("= 500", "= inf")),
+    ),
+]
+
+DISTANCES = [
+    apart("distance missing", "32, 0, 560", "32, 0", "'viewpoints_mm"),
+    apart("distance of a word", "560", '"far"', "'viewpoints_mm"),
+    apart("distance infinite", "560", "inf", "'viewpoints_mm"),
+    apart("a negative distance", "560", "-560", "-560 mm|at or behind|12 mm"),
+    apart("an eye in the layers", "560", "12", "12 mm|at or behind"),
+    apart("two distances", "pitch", "viewing_distance_mm = 5\npitch", "leave out either"),
+    apart("no distances", ", 0, 5", ", 5", "'viewing_distance_mm' is missing"),
+    case("not two views", OWN, "25 views|expects 2", put("d.toml", APART)),
+    case(
+        "a method for one distance",
+        [*OWN, "--method", "nmf"],
+        "'nmf' needs viewpoints at one distance|fourier-admm",
+        put("d.toml", APART),
+    ),
+    case(
+        "eye of no distance",
+        [*SIMULATE, "--eye", "0,0", "--display", "d.toml"],
+        "different distances|X,Y,Z",
+        result_with("../d.toml", APART),
+    ),
+]
+JUDGE = [*EVALUATE, "--methods", "nmf"]
+LISTED = 'link = "additive"\ndisparity = [1, 0]\nviewpoints = [[0, 0], [1, 0]]\n'
+BETWEEN = [
+    case("nothing between", [*JUDGE, "--between"], "'views' has no views between|--step 2"),
+    case("nothing around", [*JUDGE, "--eye-map", "m.png"], "no views in or around|--views"),
+    case("no targets", [*SYNTH, "--targets-between", "given"], "no views between|--step 2"),
+    case("odd targets", [*SYNTH, "--targets-between", "gven"], "'gven'|given or interpolated"),
+    case("odd weight", [*SYNTH, "--targets-between", "given:x"], "'given:x'|given:0.25"),
+    case(
+        "between a list",
+        [*EVALUATE[:2], "--display", "l.toml", "--methods", "nmf", "--between"],
+        "are a list|--between",
+        put("l.toml", LISTED),
+    ),
+    case(
+        "targets between a list",
+        [*SYNTH, "--display", "l.toml", "--targets-between", "interpolated"],
+        "are a list|--targets-between",
+        put("l.toml", LISTED),
+    ),
+    case(
+        "map among the views",
+        [*JUDGE, "--eye-map", "views/m.png"],
+        "views/m.png|among the input",
+    ),
+]
+
 OUTPUTS = [
     case("out exists", SYNTH, "out exists|force", lambda d: (d / "out").mkdir()),
     case("out is a file", [*SYNTH, "--force"], "out|it is a file", put("out", "mine")),
@@ -789,7 +930,10 @@ OUTPUTS = [
 ]
 
 
-@pytest.mark.parametrize(("prepare", "args", "words"), [*FIELDS, *DISPLAYS, *OPTIONS, *OUTPUTS])
+@pytest.mark.parametrize(
+    ("prepare", "args", "words"),
+    [*FIELDS, *DISPLAYS, *OPTIONS, *EYES, *DISTANCES, *BETWEEN, *OUTPUTS],
+)
 def test_one_line_and_no_traces(desk, prepare, args, words):
     prepare(desk)
     before = contents(desk)
@@ -817,6 +961,7 @@ def test_cuda_where_there_is_none(desk, monkeypatch):
         [*SYNTH, "--rounding", "up"],
         [*SYNTH, "--method", "magic"],
         [*SYNTH, "--display", "magic"],
+        [*SYNTH, "--targets-between", "magic"],
         [*SYNTH, "--iterations", "-1"],
         [*SYNTH[:-1], "views"],
         ["evaluate", "views", "--display", "multiplicative-3", "--methods", "sweeps,nmf"],
@@ -824,7 +969,8 @@ def test_cuda_where_there_is_none(desk, monkeypatch):
     ],
 )
 def test_nothing_is_read_before_the_options_are_good(desk, monkeypatch, args):
-    monkeypatch.setattr(cli, "load_light_field", lambda *_: pytest.fail("was read"))
+    for room in (cli, cli_fields):
+        monkeypatch.setattr(room, "load_light_field", lambda *_: pytest.fail("was read"))
     fails(run(*args))
 
 

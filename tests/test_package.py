@@ -59,11 +59,12 @@ def test_lower_rooms_do_not_import_higher_ones():
     """Data flows one way; a room is imported only by rooms listed after it."""
     order = [
         "version", "nearest", "own_process", "toml_model", "geometry", "light_field", "projection",
-        "gram", "links", "composition", "display_spec", "display", "panels", "solve", "solvers",
-        "networks", "metrics", "provenance", "scenes", "io", "plane_sweep", "disparity", "weights",
-        "methods", "synthesizer", "reference", "evaluate", "result", "spectrum", "design",
-        "training", "report", "demo", "reproduction", "terminal", "process", "cli_options",
-        "refusals", "cli_design", "cli_reproduction", "cli_training", "cli", "__main__",
+        "warped_projection", "gram", "links", "composition", "display_spec", "display", "panels",
+        "solve", "between", "solvers", "networks", "metrics", "provenance", "scenes", "io", "eyes",
+        "plane_sweep", "disparity", "weights", "methods", "synthesizer", "reference", "evaluate",
+        "result", "spectrum", "design", "training", "report", "demo", "reproduction", "terminal",
+        "process", "cli_options", "refusals", "cli_fields", "cli_design", "cli_reproduction",
+        "cli_training", "cli", "__main__",
     ]  # fmt: skip
     source = ROOT / "src" / "layerfield"
     for file in source.rglob("*.py"):
@@ -178,6 +179,29 @@ def test_every_command_of_the_page_on_networks_runs(tmp_path):
     for row in re.findall(r"^\| (`.*?) \|", page.split("| recipe |")[1], flags=re.MULTILINE):
         for recipe in re.findall("`(.*?)`", row):
             read_recipe(recipe)
+
+
+def test_every_command_of_the_page_on_eyes_runs(tmp_path, monkeypatch):
+    page = (ROOT / "docs" / "eyes.md").read_text("utf-8")
+    monkeypatch.chdir(tmp_path)
+    nine = parse_spec('link = "additive"\ndisparity = [1, 0]\nviews = [9, 9]', "nine")
+    field = layerfield.procedural_light_field(grid=(9, 9), size=(40, 48))
+    write_views(tmp_path / "my-views", field.views, Display(nine), 8)
+    (toml,) = re.findall(r"```toml\n(.*?)```", page, flags=re.DOTALL)
+    Path("two-eyes.toml").write_text(toml, "utf-8")
+    two = Display.load("two-eyes.toml")
+    write_views(tmp_path / "my-eyes", field.views[:2], two, 8)
+    three = 'name = "three"\nlink = "additive"\ndisparity = [1, 0, -1]\nviews = [3, 3]\n'
+    Path("3x3.toml").write_text(three, "utf-8")
+    for command in commands_in(page):
+        name, *words = command.split()
+        done = subprocess.run(
+            [Path(sys.executable).parent / name, *words],
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, f"{command}\n{done.stderr}"
+    for block in re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL):
+        exec(compile(block, "eyes.md", "exec"), {})
 
 
 def test_every_python_block_of_the_readme_runs(tmp_path, monkeypatch):

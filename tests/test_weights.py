@@ -21,6 +21,7 @@ from layerfield import (
     LightField,
     Problem,
     cli,
+    cli_fields,
     demo,
     evaluate,
     methods,
@@ -443,7 +444,8 @@ def test_wrong_spellings_say_which_part(desk, method, words):
     ],
 )
 def test_nothing_is_read_before_the_method_is_good(desk, stocked, monkeypatch, args):
-    monkeypatch.setattr(cli, "load_light_field", lambda *_: pytest.fail("was read"))
+    for room in (cli, cli_fields):
+        monkeypatch.setattr(room, "load_light_field", lambda *_: pytest.fail("was read"))
     fails(run(*args))
 
 

@@ -8,7 +8,9 @@ from typing import Annotated
 
 import typer
 
+from layerfield.between import parse_targets
 from layerfield.cli_design import design_command
+from layerfield.cli_fields import read_around, read_field
 from layerfield.cli_options import (
     Bits,
     Device,
@@ -17,6 +19,7 @@ from layerfield.cli_options import (
     Force,
     Iterations,
     Out,
+    TargetsBetween,
     recorded,
     with_field_options,
 )
@@ -27,6 +30,7 @@ from layerfield.disparity import estimate_disparity
 from layerfield.display import Display, preset_names
 from layerfield.display_spec import format_spec
 from layerfield.evaluate import evaluate, parse_methods, write_rows
+from layerfield.eyes import Eye, look, write_eyes
 from layerfield.io import (
     FieldOptions,
     field_name,
@@ -37,7 +41,6 @@ from layerfield.io import (
     whole_file,
     write_contact_sheet,
 )
-from layerfield.light_field import LightField
 from layerfield.methods import CHAIN_ITERATIONS
 from layerfield.panels import largest_code
 from layerfield.process import run
@@ -47,7 +50,6 @@ from layerfield.refusals import (
     own_file,
     refuse_device,
     refuse_repeats,
-    refuse_small,
     refuse_unknown,
     told_apart,
 )
@@ -55,8 +57,8 @@ from layerfield.result import (
     display_of,
     make_result,
     margin_of,
+    mount,
     read_layers,
-    simulate,
     write_result,
     write_views,
     write_views_array,
@@ -74,8 +76,8 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-_SMALLEST = 11  # pixels of a view, the window of SSIM
 _METHOD = "a name that `methods` lists, FILE.safetensors, or NETWORK+SOLVER"
+_EYE = "X,Y[,Z] in mm, or X,Y in view steps: what an eye there sees; repeatable"
 _METHODS = "such names, as a,b:100 (iterations),c+b:3"
 
 
@@ -146,6 +148,7 @@ def synth(
     history: Annotated[
         bool, typer.Option("--history", help="record the error of every iteration")
     ] = False,
+    targets_between: TargetsBetween = None,
     device: Device = "cpu",
     force: Force = False,
 ) -> None:
@@ -159,9 +162,10 @@ def synth(
     refuse_existing(out, force=force)
     keep_inputs(out, field, own_file(display), chosen.file)
     chosen.refuse_unserved(target)
+    _refuse_targets(targets_between, [target])
     with status(total=count or None) as tick:
         tick("reading")
-        loaded = _load(field, options)
+        loaded = read_field(field, options, targets_between)
         loaded = replace(loaded, views=loaded.views.to(device))
         solution = synthesize(
             loaded,
@@ -171,7 +175,7 @@ def synth(
             history=history,
             callback=lambda done, _: tick(chosen.title, done),
         )
-        problem = pose(loaded, target)
+        problem = pose(replace(loaded, between=None), target)
         known = reference(problem, tick=tick) if compare else cached_reference(problem)
         tick("rounding and writing")
         result = make_result(
@@ -182,7 +186,7 @@ def synth(
             bits=bits,
             rounding=rounding,
             reference=known,
-            options=recorded(options),
+            options=recorded(options, targets_between),
         )
         write_result(out, result, simulate=simulate_views, force=force)
     report(out, loaded, result.facts)
@@ -198,13 +202,14 @@ def simulate_command(
     margin: Annotated[
         int | None, typer.Option("--margin", help="pixels by which layers exceed the views")
     ] = None,
+    eye: Annotated[list[str] | None, typer.Option("--eye", help=_EYE)] = None,
     bits: Bits = 8,
     array: Annotated[
         bool, typer.Option("--array", help="write views.npy, unclipped float32, as well")
     ] = False,
     force: Force = False,
 ) -> None:
-    """Write the views that viewers of these layers see."""
+    """Write the views that viewers of these layers see; or what eyes anywhere see."""
     largest_code(bits)
     refuse_existing(out, force=force)
     keep_inputs(out, folder, own_file(display))
@@ -213,12 +218,18 @@ def simulate_command(
         shown_on = Display.load(display)
     if shown_on is None:
         raise ValueError(f"{folder} holds no display.toml; say which display with --display")
+    eyes = [Eye.parse(text, shown_on) for text in eye or ()]
     given = margin_of(folder) if margin is None else (margin, margin)
-    views = simulate(layers, shown_on, shown_on.margin if given is None else given)
+    mounted = mount(layers, shown_on, shown_on.margin if given is None else given)
+    views = look(mounted, shown_on, eyes) if eyes else shown_on(mounted)
     with whole_directory(out, force=force) as temporary:
-        write_views(temporary / "views", views, shown_on, bits)
+        if eyes:
+            write_eyes(temporary / "views", views, bits)
+        else:
+            write_views(temporary / "views", views, shown_on, bits)
         if array:
-            write_views_array(temporary / "views.npy", views, shown_on)
+            grid = (1, len(eyes)) if eyes else shown_on.geometry.grid or (1, len(views))
+            write_views_array(temporary / "views.npy", views, grid)
         (temporary / "display.toml").write_text(format_spec(shown_on.spec), "utf-8")
     say(f"{len(views)} views are in {out / 'views'}")
 
@@ -233,6 +244,13 @@ def evaluate_command(
     iterations: Iterations = None,
     bits: Bits = 16,
     json: Annotated[Path | None, typer.Option("--json", help="file for the rows")] = None,
+    between: Annotated[
+        bool, typer.Option("--between", help="judge eyes between the viewpoints, too (--step 2)")
+    ] = False,
+    eye_map_file: Annotated[
+        Path | None, typer.Option("--eye-map", help="PNG: PSNR against the position of the eye")
+    ] = None,
+    targets_between: TargetsBetween = None,
     force: Force = False,
 ) -> None:
     """Compare methods on light fields and displays, the reference beside them."""
@@ -241,20 +259,34 @@ def evaluate_command(
     models = [Display.load(name) for name in names]
     refuse_repeats("displays", [model.name for model in models])
     found = [find_method(name) for name, _ in chosen]
-    if json is not None:
-        keep_inputs(json, *paths, *map(own_file, names), *(method.file for method in found))
+    for out in filter(None, (json, eye_map_file)):
+        keep_inputs(out, *paths, *map(own_file, names), *(method.file for method in found))
+    if between or eye_map_file is not None:
+        _refuse_lists(models, "--between and --eye-map")
+    _refuse_targets(targets_between, models)
     for model in models:
         for method in found:
             method.refuse_unserved(model)
-    loaded = told_apart([_load(field, options) for field in paths], paths)
+    loaded = told_apart([read_field(field, options, targets_between) for field in paths], paths)
     for field in loaded:
         for model in models:
             pose(field, model)
-    with _file_or_nothing(json, force) as path:
+    around = [
+        read_around(path, options, field, between=between)
+        for path, field in zip(paths, loaded, strict=True)
+        if between or eye_map_file is not None
+    ]
+    with _file_or_nothing(json, force) as path, _file_or_nothing(eye_map_file, force) as picture:
         with status(total=len(loaded) * len(models) * (len(chosen) + 1)) as tick:
-            rows = evaluate(loaded, models, chosen, bits=bits, isolate=True, tick=tick)
+            rows = evaluate(
+                loaded, models, chosen, bits=bits, isolate=True, around=around, tick=tick
+            )
         if path is not None:
             write_rows(path, rows)
+        if picture is not None:
+            from layerfield.report.eye_map import write_eye_map  # noqa: PLC0415  slow to import
+
+            write_eye_map(picture, rows)
     print_tables(rows)
 
 
@@ -307,10 +339,19 @@ def main() -> None:
     run(app)
 
 
-def _load(field: str, options: FieldOptions) -> LightField:
-    loaded = load_light_field(field, options)
-    refuse_small(loaded, _SMALLEST)
-    return loaded
+def _refuse_targets(targets: str | None, displays: list[Display]) -> None:
+    if targets is not None:
+        parse_targets(targets)
+        _refuse_lists(displays, "--targets-between")
+
+
+def _refuse_lists(displays: list[Display], option: str) -> None:
+    for display in displays:
+        if display.geometry.grid is None:
+            raise ValueError(
+                f"the viewpoints of display '{display.name}' are a list; {option} needs a grid of "
+                "them ('views')"
+            )
 
 
 @contextmanager

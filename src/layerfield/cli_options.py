@@ -15,6 +15,14 @@ Field = Annotated[str, typer.Argument(help="folder of views, picture, .npy, .npz
 Out = Annotated[Path, typer.Option("--out", help="folder to make")]
 Force = Annotated[bool, typer.Option("--force", help="replace an earlier result")]
 Bits = Annotated[int, typer.Option("--bits", help="of the images that are written: 8 or 16")]
+TargetsBetween = Annotated[
+    str | None,
+    typer.Option(
+        "--targets-between",
+        help="make layers for eyes between the viewpoints, too: given or interpolated, perhaps "
+        "with a weight, as given:0.5",
+    ),
+]
 DisplayName = Annotated[str, typer.Option("--display", help="a preset or a TOML file")]
 Device = Annotated[str, typer.Option("--device", help="cpu or cuda")]
 Iterations = Annotated[
@@ -60,7 +68,8 @@ def with_field_options(command: Callable[..., None]) -> Callable[..., None]:
     return wrapper
 
 
-def recorded(options: FieldOptions) -> dict[str, Any]:
+def recorded(options: FieldOptions, targets_between: str | None = None) -> dict[str, Any]:
     """Return the options that say what was read, where they are not the default."""
+    between = {} if targets_between is None else {"targets-between": targets_between}
     changed = (f.name for f in fields(options) if getattr(options, f.name) != f.default)
-    return {"options": {name: str(getattr(options, name)) for name in changed}}
+    return {"options": {name: str(getattr(options, name)) for name in changed} | between}

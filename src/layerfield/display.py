@@ -11,7 +11,7 @@ from layerfield.display_spec import Spec, parse_spec, read_spec
 from layerfield.geometry import Point
 from layerfield.links import LINKS
 from layerfield.nearest import did_you_mean
-from layerfield.projection import Projection
+from layerfield.warped_projection import nearest, project, projection_of, reach
 
 _PRESETS = files("layerfield") / "displays"
 
@@ -30,7 +30,7 @@ class Display(nn.Module):
         self.spec = spec
         self.geometry = spec.geometry()
         self.link = LINKS[spec.link]
-        self.projection = Projection(self.geometry.shifts, self.geometry.margin)
+        self.projection = projection_of(self.geometry)
 
     @classmethod
     def load(cls, name: str | Path) -> "Display":
@@ -84,20 +84,43 @@ class Display(nn.Module):
         return self.projection.adjoint(views)
 
     def look(
-        self, layers: Float[Tensor, "*batch subframe layer c ly lx"], eye: Point
+        self,
+        layers: Float[Tensor, "*batch subframe layer c ly lx"],
+        eye: Point,
+        distance: float | None = None,
     ) -> Float[Tensor, "*batch c y x"]:
-        """Return what an eye anywhere in the plane of the viewpoints sees, unclipped.
+        """Return what an eye anywhere in front of the display sees, unclipped.
 
         Args:
             layers: with the margin of this display; outside them light paths stay as they are.
             eye: (x, y) as slopes X / Z; in view steps for displays in pixel disparities.
+            distance: Z of the eye in metres; for displays in pixel disparities, the pixels between
+                neighbouring viewpoints at that distance. As far as the viewpoints if not given.
+
+        Raises:
+            ValueError: the eye is at or behind the front layer, or no distance is given and those
+                of the viewpoints differ.
         """
-        shifts = self.geometry.shifts_toward(eye)
-        reach = [max(abs(s[axis]) for s in shifts) for axis in (1, 0)]
-        margin = tuple(max(m, int(r) + 1) for m, r in zip(self.margin, reach, strict=True))
-        wider = self.surround(layers, (margin[0], margin[1]), self.margin)
-        projection = Projection((shifts,), (margin[0], margin[1]))
-        return compose_view(wider, projection, self.link, 0)
+        magnifications = self.geometry.magnifications_from(self._distance(distance))
+        size = self.projection.view_size(layers)
+        shifts = tuple(
+            (nearest(x, m, size[1], self.margin[1]), nearest(y, m, size[0], self.margin[0]))
+            for (x, y), m in zip(self.geometry.shifts_toward(eye), magnifications, strict=True)
+        )
+        margin = self.margin
+        for (x, y), m in zip(shifts, magnifications, strict=True):
+            margin = max(margin[0], reach(y, m, size[0])), max(margin[1], reach(x, m, size[1]))
+        wider = self.surround(layers, margin, self.margin)
+        return compose_view(wider, project((shifts,), (magnifications,), margin), self.link, 0)
+
+    def _distance(self, given: float | None) -> float:
+        distances = self.geometry.distances
+        if given is None and len(set(distances)) > 1:
+            raise ValueError(
+                f"the viewpoints of display '{self.name}' lie {min(distances):g} to "
+                f"{max(distances):g} m away; say how far the eye is"
+            )
+        return distances[0] if given is None else given
 
     def surround(
         self, layers: Tensor, margin: tuple[int, int], has: tuple[int, int] = (0, 0)

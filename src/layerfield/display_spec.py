@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -15,6 +16,7 @@ Count = Annotated[int, Field(strict=True, ge=1)]
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Grid = tuple[Count, Count]
 Viewpoints = tuple[tuple[Number, Number], ...]
+PlacedViewpoints = tuple[tuple[Number, Number, Number], ...]
 Depths = Annotated[tuple[Number, ...], Field(min_length=1, max_length=8)]
 
 _MOST_VIEWS = 10_000
@@ -60,6 +62,17 @@ class _Spec(BaseModel):
         """Return the geometry in metres (or pixels, for displays in pixel disparities)."""
         raise NotImplementedError
 
+    def eye(self, position: Sequence[float]) -> tuple[Point, float | None]:
+        """Return slope and distance of an eye for `Display.look`, from the units of the file.
+
+        Args:
+            position: X, Y, and perhaps how far the eye is.
+
+        Raises:
+            ValueError: the eye is at or behind a layer, or its distance is missing.
+        """
+        raise NotImplementedError
+
 
 class DisparitySpec(_Spec):
     """A display in pixel disparities: layer k shifts by `disparity[k]` pixels from view to view.
@@ -77,6 +90,12 @@ class DisparitySpec(_Spec):
         points = _one_of(self.views, self.viewpoints, "viewpoints", (1.0, 1.0))
         return Geometry(slopes=points, depths=self.disparity, grid=self.views)
 
+    def eye(self, position: Sequence[float]) -> tuple[Point, float | None]:
+        x, y, *distance = position
+        if distance:
+            _refuse_near(distance[0], self.disparity[0], "px from viewpoint to viewpoint")
+        return (x, y), distance[0] if distance else None
+
 
 class PhysicalSpec(_Spec):
     """A display in millimetres.
@@ -84,36 +103,77 @@ class PhysicalSpec(_Spec):
     Args:
         depth_mm: distance of every layer from the display plane toward the viewer, front to back.
         pitch_um: pixel pitch on the display plane, micrometres.
-        viewing_distance_mm: from the display plane to the viewpoints; `inf` for orthographic.
+        viewing_distance_mm: from the display plane to the viewpoints; `inf` for orthographic. Left
+            out where `viewpoints_mm` holds distances.
         views: rows and columns of the view grid, spread over
         viewing_angle_deg: the angle between its outermost viewpoints seen from the centre of the
             display, along its longer side (the step is the same along both) or [horizontal,
             vertical]; or else
-        viewpoints_mm: (x, y) of every viewpoint on its plane, at a finite distance.
+        viewpoints_mm: (x, y) of every viewpoint on its plane, at a finite distance; or (x, y, z),
+            where z, its own distance, is that from the display plane.
     """
 
     depth_mm: Depths
     pitch_um: Annotated[Number, Field(gt=0)]
-    viewing_distance_mm: Annotated[float, Field(strict=True, gt=0)]
+    viewing_distance_mm: Annotated[float, Field(strict=True, gt=0)] | None = None
     viewing_angle_deg: Number | tuple[Number, Number] | None = None
-    viewpoints_mm: Viewpoints | None = None
+    viewpoints_mm: Viewpoints | PlacedViewpoints | None = None
 
     def geometry(self) -> Geometry:
         if self.views is not None and self.viewing_angle_deg is None:
             raise ValueError("'viewing_angle_deg' is missing; it says how far apart the views are")
-        if self.viewpoints_mm is not None and math.isinf(self.viewing_distance_mm):
-            raise ValueError("'viewpoints_mm' needs a finite 'viewing_distance_mm'")
-        listed = self.viewpoints_mm and tuple(
-            (x / self.viewing_distance_mm, y / self.viewing_distance_mm)
-            for x, y in self.viewpoints_mm
-        )
+        placed = self._placed()
+        distances = tuple(z * 1e-3 for _, _, z in placed)
         return Geometry(
-            slopes=_one_of(self.views, listed, "viewpoints_mm", self._step()),
+            slopes=_one_of(
+                self.views,
+                tuple((x / z, y / z) for x, y, z in placed) or None,
+                "viewpoints_mm",
+                self._step(),
+            ),
             depths=tuple(z * 1e-3 for z in self.depth_mm),
             pitch=self.pitch_um * 1e-6,
-            distance=self.viewing_distance_mm * 1e-3,
+            distance=distances if len(set(distances)) > 1 else self._distance() * 1e-3,
             grid=self.views,
         )
+
+    def _distance(self) -> float:
+        """Where the viewpoints are, unless they have distances of their own that differ."""
+        own = {point[2] for point in self.viewpoints_mm or () if len(point) == 3}
+        if self.viewing_distance_mm is None and not own:
+            raise ValueError("the key 'viewing_distance_mm' is missing")
+        if self.viewing_distance_mm is not None and own:
+            raise ValueError(
+                "'viewpoints_mm' holds distances, and there is a 'viewing_distance_mm'; leave out "
+                "either"
+            )
+        return own.pop() if len(own) == 1 else self.viewing_distance_mm or math.nan
+
+    def _placed(self) -> PlacedViewpoints:
+        """The viewpoints listed, each with its distance."""
+        common = self._distance()
+        if self.viewpoints_mm is not None and math.isinf(common):
+            raise ValueError("'viewpoints_mm' needs a finite 'viewing_distance_mm'")
+        placed = tuple(p if len(p) == 3 else (*p, common) for p in self.viewpoints_mm or ())
+        nearest = min((z for _, _, z in placed), default=math.inf)
+        if not nearest > max(self.depth_mm[0], 0):
+            raise ValueError(
+                f"a viewpoint is {nearest:g} mm away, at or behind the front layer at "
+                f"{self.depth_mm[0]:g} mm; move it away from the display"
+            )
+        return placed
+
+    def eye(self, position: Sequence[float]) -> tuple[Point, float | None]:
+        x, y, *rest = position
+        distance = rest[0] if rest else self._distance()
+        if not math.isfinite(distance):
+            paths = "are parallel" if math.isinf(distance) else "come from different distances"
+            raise ValueError(
+                f"light paths of display '{self.name}' {paths}; say where the eye is as X,Y,Z, in "
+                "millimetres"
+            )
+        _refuse_near(distance, self.depth_mm[0], "mm")
+        return (x / distance, y / distance), distance * 1e-3
 
     def _step(self) -> Point:
         if self.views is None or self.viewing_angle_deg is None:
@@ -137,6 +197,14 @@ def _refuse_far_shifts(geometry: Geometry) -> None:
         raise ValueError(
             f"the outermost views shift the layers by up to {shift:.0f} px, expected at most "
             f"{_WIDEST_MARGIN}; check the numbers and their units"
+        )
+
+
+def _refuse_near(distance: float, front: float, unit: str) -> None:
+    if not distance > max(front, 0):
+        raise ValueError(
+            f"the eye is at a distance of {distance:g} {unit}, at or behind the front layer at "
+            f"{front:g}; expected more than {max(front, 0):g}"
         )
 
 

@@ -9,11 +9,14 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import torch
 from torch import Tensor
 
 from layerfield.display import Display
 from layerfield.display_spec import Spec
-from layerfield.light_field import LightField
+from layerfield.eyes import EyeFigures, judge_eyes
+from layerfield.light_field import EyeViews, LightField
 from layerfield.methods import NetworkMethod
 from layerfield.metrics import (
     LayerFigures,
@@ -96,6 +99,7 @@ class Row:
     made_with: dict[str, Any]
     details: dict[str, float | str] = dataclasses.field(default_factory=dict)
     reference: Reference | None = None
+    eyes: EyeFigures | None = None
 
     @property
     def label(self) -> str:
@@ -104,7 +108,8 @@ class Row:
 
     def as_record(self) -> dict[str, Any]:
         """Return the row as plain data for JSON; figures side by side with the rest."""
-        record = {k: v for k, v in asdict(self).items() if k not in {"figures", "reference"}}
+        apart = {"figures", "reference", "eyes"}
+        record = {k: v for k, v in asdict(self).items() if k not in apart}
         record |= asdict(self.figures) | {
             "layers": [layer._asdict() for layer in self.figures.layers]
         }
@@ -116,6 +121,9 @@ class Row:
                 "reference_method": self.reference.method,
                 "reference_gap_db": self.reference.gap_db,
             }
+        if self.eyes is not None:
+            record["psnr_between"] = self.eyes.psnr_between
+            record["eyes"] = [eye._asdict() for eye in self.eyes.by_eye]
         return record
 
 
@@ -157,6 +165,7 @@ def evaluate(
     *,
     bits: int = 16,
     isolate: bool = False,
+    around: Sequence[EyeViews] = (),
     tick: Callable[[str], None] | None = None,
 ) -> list[Row]:
     """Run every method on every light field and display.
@@ -168,15 +177,21 @@ def evaluate(
         bits: of the panel images that are judged, 8 or 16.
         isolate: a process for each run, so that its peak memory is its own. In a script this
             needs the usual `if __name__ == "__main__":`.
+        around: what eyes in and around the view grid of each light field see, to be judged, too.
         tick: called with a word on what is being done, for progress displays.
 
     Returns:
         Rows in order of fields, displays and methods.
+
+    Raises:
+        ValueError: views around some light fields only.
     """
+    if around and len(around) != len(fields):
+        raise ValueError(f"found views around {len(around)} of {len(fields)} light fields")
     rows = []
-    for field in fields:
+    for field, eyes in zip(fields, around or [None] * len(fields), strict=True):
         for display in displays:
-            rows += _compare(field, display, methods, bits, isolate, tick)
+            rows += _compare(field, display, methods, bits, isolate, eyes, tick)
     return rows
 
 
@@ -186,17 +201,20 @@ def _compare(
     methods: Sequence[tuple[str, int]],
     bits: int,
     isolate: bool,
+    around: EyeViews | None,
     tick: Callable[[str], None] | None,
 ) -> list[Row]:
-    problem = pose(field, display)
+    problem = pose(replace(field, between=None), display)
     rows = []
     for name, iterations in methods:
         if tick is not None:
             tick(f"{field.name}, {display.name}: {spelled(name, iterations)}")
-        job = _Job(field.views, field.grid, field.name, display.spec, name, iterations, bits)
-        rows.append(
-            in_own_process(_measure, replace(job, own_process=True)) if isolate else _measure(job)
-        )
+        job = _Job(field, display.spec, name, iterations, bits, own_process=isolate)
+        row, codes = in_own_process(_measure, job) if isolate else _measure(job)
+        if around is not None:
+            layers = dequantise(torch.from_numpy(codes))
+            row = replace(row, eyes=judge_eyes(layers, display, around))
+        rows.append(row)
     if tick is not None:
         tick(f"{field.name}, {display.name}: reference")
     found = reference(problem, tick=tick)
@@ -208,9 +226,7 @@ def _compare(
 
 @dataclass(frozen=True, eq=False)
 class _Job:
-    views: Tensor
-    grid: tuple[int, int]
-    field: str
+    field: LightField
     spec: Spec
     method: str
     iterations: int
@@ -218,15 +234,16 @@ class _Job:
     own_process: bool = False
 
 
-def _measure(job: _Job) -> Row:
-    field, display = LightField(job.views, job.grid, name=job.field), Display(job.spec)
+def _measure(job: _Job) -> tuple[Row, np.ndarray]:
+    """Return a row and the codes of its layers, which outlive a process as an array only."""
+    field, display = job.field, Display(job.spec)
     if job.own_process:
         _warm_up(field, display, job)
     solution = synthesize(field, display, method=job.method, iterations=job.iterations)
     peak = peak_megabytes() if job.own_process else None
     codes = panel_codes(pose(field, display), solution.layers, bits=job.bits)
     layers = dequantise(codes)
-    return Row(
+    row = Row(
         field=field.name,
         display=display.name,
         method=find_method(job.method).title,
@@ -237,13 +254,18 @@ def _measure(job: _Job) -> Row:
         mean_square_error=mean_square_error(display(layers), field.views),
         figures=figures(layers, field, display),
         made_with=provenance(field.views.device),
-        details=dict(solution.details),
+        details=dict(solution.details) | _targets(field),
     )
+    return row, codes.cpu().numpy()
+
+
+def _targets(field: LightField) -> dict[str, float | str]:
+    return {} if field.between is None else {"weight_between": field.between.weight}
 
 
 def _warm_up(field: LightField, display: Display, job: _Job) -> None:
     """Start threads and libraries on a corner of the field, so that the clock does not see it."""
-    corner = replace(field, views=field.views[..., :32, :32].contiguous())
+    corner = replace(field, views=field.views[..., :32, :32].contiguous(), between=None)
     synthesize(corner, display, method=job.method, iterations=min(job.iterations, 1))
 
 
@@ -275,7 +297,18 @@ def _title(row: Row) -> str:
 
 def _lines(rows: Sequence[Row]) -> list[list[str]]:
     isolated = all(row.peak_mb is not None for row in rows)
-    heading = ["method", "PSNR dB", "interior", "excess", "SSIM", "views dB", "s", "layer means"]
+    between = any(row.eyes and row.eyes.psnr_between for row in rows)
+    heading = [
+        "method",
+        "PSNR dB",
+        *["between"] * between,
+        "interior",
+        "excess",
+        "SSIM",
+        "views dB",
+        "s",
+        "layer means",
+    ]
     lines = [[*heading, *["MB"] * isolated]]
     for row in rows:
         found, reached = row.figures, row.mean_square_error
@@ -283,6 +316,7 @@ def _lines(rows: Sequence[Row]) -> list[list[str]]:
             [
                 row.label,
                 f"{found.psnr:.2f}",
+                *[_between(row)] * between,
                 f"{found.psnr_interior:.2f}",
                 f"{excess(reached, row.reference.mean_square_error):.1%}" if row.reference else "",
                 f"{found.ssim:.4f}",
@@ -293,3 +327,8 @@ def _lines(rows: Sequence[Row]) -> list[list[str]]:
             ]
         )
     return lines
+
+
+def _between(row: Row) -> str:
+    found = row.eyes and row.eyes.psnr_between
+    return "" if found is None else f"{found:.2f}"

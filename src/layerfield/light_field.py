@@ -1,9 +1,46 @@
 """The light field: views of one scene and the grid they were taken on."""
 
-from dataclasses import dataclass
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 from jaxtyping import Float
 from torch import Tensor
+
+from layerfield.geometry import Point
+
+
+@dataclass(frozen=True, eq=False)
+class EyeViews:
+    """What eyes in and around a grid of viewpoints see of a scene.
+
+    Args:
+        views: values, 0 to 1.
+        positions: (x, y) of every eye, in view steps from the centre of the grid.
+        weight: how much each counts beside a view of the grid, where layers are made for both.
+
+    Raises:
+        ValueError: not as many views as positions, or a weight that is no number above 0.
+    """
+
+    views: Float[Tensor, "*batch view c y x"]
+    positions: tuple[Point, ...]
+    weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.views.shape[-4] != len(self.positions):
+            raise ValueError(
+                f"found {self.views.shape[-4]} views, expected one for each of "
+                f"{len(self.positions)} eyes"
+            )
+        if not 0 < self.weight < math.inf:
+            raise ValueError(f"the weight of eyes is {self.weight:g}, expected more than 0")
+
+    def chosen(self, keep: Callable[[Point], bool]) -> "EyeViews":
+        """Return the eyes whose position is wanted."""
+        places = [i for i, position in enumerate(self.positions) if keep(position)]
+        positions = tuple(self.positions[i] for i in places)
+        return replace(self, views=self.views[..., places, :, :, :], positions=positions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -15,6 +52,7 @@ class LightField:
         grid: (rows, columns) of the viewpoints.
         name: what tables and reports call it.
         notes: what a reader had to do that its user may want to know, one sentence each.
+        between: what eyes between the viewpoints see, if layers are made for them, too.
 
     Raises:
         ValueError: the number of views is not rows times columns.
@@ -24,6 +62,7 @@ class LightField:
     grid: tuple[int, int]
     name: str = "light field"
     notes: tuple[str, ...] = ()
+    between: EyeViews | None = None
 
     def __post_init__(self) -> None:
         rows, columns = self.grid

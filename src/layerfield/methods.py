@@ -114,14 +114,25 @@ class SolverMethod(Method):
 
     Args:
         make: the solver for a link.
+        apart: the same where viewpoints lie at different distances; None if it serves none.
     """
 
     make: Callable[[Link], Solver]
+    apart: Callable[[Link], Solver] | None = None
+
+    def refuse_unserved(self, display: Display) -> None:
+        super().refuse_unserved(display)
+        if not display.geometry.is_regular and self.apart is None:
+            raise ValueError(
+                f"method '{self.name}' needs viewpoints at one distance, those of "
+                f"'{display.name}' differ; take fourier-admm"
+            )
 
     def run(self, problem: Problem, display: Display, options: RunOptions) -> Solution:
+        make = self.make if display.geometry.is_regular or self.apart is None else self.apart
         return solve(
             problem,
-            self.make(display.link),
+            make(display.link),
             iterations=options.iterations,
             init=options.init,
             tolerance=options.tolerance,
@@ -202,7 +213,8 @@ class NetworkMethod(Method):
                     f"method '{self.name}' is a network and takes no {what}; leave them out, or "
                     "take a solver"
                 )
-        return forward(self.find(display), problem.target, display.margin)
+        views = problem.target[..., : display.view_count, :, :, :]  # eyes between come after
+        return forward(self.find(display), views, display.margin)
 
 
 def forward(

@@ -39,6 +39,11 @@ class Projection:
     shifts: tuple[tuple[Point, ...], ...]
     margin: tuple[int, int]
 
+    @property
+    def shifts_only(self) -> "Projection":
+        """The shifts of this projection; itself, where there is nothing else."""
+        return self
+
     @cached_property
     def taps(self) -> tuple[tuple[tuple[tuple[int, int, float], ...], ...], ...]:
         """`[view][layer]` -> (top row, left column, weight) of every window that is summed."""

@@ -28,7 +28,9 @@ from layerfield.solve import Problem, Solver, solve
 from layerfield.solvers.fourier_admm import FourierAdmm
 from layerfield.solvers.fourier_start import FourierStart
 from layerfield.solvers.gradient import Gradient
+from layerfield.solvers.nearest_shifts import NearestShifts
 from layerfield.solvers.sweeps import Sweeps
+from layerfield.warped_projection import WarpedProjection
 
 GAP_DB = 0.01  # an optimum is certified to this
 _REVISION = 5  # of this file's algorithm; part of the cache key
@@ -78,7 +80,8 @@ def reference(problem: Problem, *, tick: Callable[[str], None] | None = None) ->
     cached = cached_reference(problem)
     if cached is not None:
         return cached
-    found = _optimum(problem, tick) if problem.link.is_sum else _best_known(problem, tick)
+    direct = problem.link.is_sum and not isinstance(problem.projection, WarpedProjection)
+    found = _optimum(problem, tick) if direct else _best_known(problem, tick)
     store_reference(problem, found)
     return found
 
@@ -159,7 +162,7 @@ def _optimum(problem: Problem, tick: Callable[[str], None] | None) -> Reference:
 def _best_known(problem: Problem, tick: Callable[[str], None] | None) -> Reference:
     """Sweep from three starts to stagnation, then try gradients from the best of them."""
     starts = {
-        "log start": solve(problem, FourierStart(), iterations=0).layers,
+        "log start": solve(problem, NearestShifts(FourierStart()), iterations=0).layers,
         "even start": _even_start(problem),
         "flat start": problem.flat_start(),
     }
@@ -215,6 +218,8 @@ def _fingerprint(problem: Problem) -> str:
         problem.subframes,
         tuple(problem.target.shape),
     )
+    if isinstance(problem.projection, WarpedProjection):
+        facts = (*facts, problem.projection.magnifications)
     digest = hashlib.sha256(repr(facts).encode())
     digest.update(problem.target.float().cpu().contiguous().numpy().tobytes())
     return digest.hexdigest()[:32]

@@ -30,8 +30,9 @@ from layerfield.metrics import excess, mean_square_error
 from layerfield.panels import dequantise, quantise
 from layerfield.provenance import provenance
 from layerfield.reference import Reference
-from layerfield.solve import Problem, Solution
+from layerfield.solve import Solution
 from layerfield.solvers.rounding import panel_codes
+from layerfield.synthesizer import pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +73,7 @@ def make_result(
         reference: the optimum or best known, if it was computed.
         options: how the light field was read, to be recorded.
     """
-    problem = Problem.of(display, field.views)
+    problem = pose(field, display)
     codes = panel_codes(problem, solution.layers, bits=bits, rounding=rounding)
     layers = dequantise(codes)
     error = mean_square_error(display(layers), field.views)
@@ -141,9 +142,10 @@ def write_views(
         write_png(folder / f"view_{i // columns:02d}_{i % columns:02d}.png", view.cpu())
 
 
-def write_views_array(path: Path, views: Float[Tensor, "view c y x"], display: Display) -> None:
+def write_views_array(
+    path: Path, views: Float[Tensor, "view c y x"], grid: tuple[int, int]
+) -> None:
     """Write unclipped float32 views as `.npy`, `[row, column, y, x, c]`."""
-    grid = display.geometry.grid or (1, display.view_count)
     array = views.cpu().unflatten(0, grid).movedim(2, -1).numpy()
     np.save(path, array.astype(np.float32), allow_pickle=False)
 
@@ -212,7 +214,14 @@ def margin_of(folder: str | Path) -> tuple[int, int] | None:
 def simulate(
     layers: Float[Tensor, "subframe layer c ly lx"], display: Display, margin: tuple[int, int]
 ) -> Float[Tensor, "view c y x"]:
-    """Return the unclipped views that layers show.
+    """Return the unclipped views that layers show; see `mount` for the arguments and errors."""
+    return display(mount(layers, display, margin))
+
+
+def mount(
+    layers: Float[Tensor, "subframe layer c ly lx"], display: Display, margin: tuple[int, int]
+) -> Float[Tensor, "subframe layer c ly2 lx2"]:
+    """Return layers with the margin of a display.
 
     Args:
         layers: values, 0 to 1, front to back.
@@ -236,7 +245,7 @@ def simulate(
             f"layers of {_size(layers)} with a margin of {margin[1]}x{margin[0]} px show no views; "
             "give a smaller --margin, 0 or more"
         )
-    return display(display.surround(layers, display.margin, margin))
+    return display.surround(layers, display.margin, margin)
 
 
 def _subframe_folders(folder: Path) -> list[Path]:

@@ -12,15 +12,17 @@ from typing import Protocol, runtime_checkable
 
 from torch import Tensor
 
+from layerfield.between import with_eyes
 from layerfield.display import Display
 from layerfield.light_field import LightField
 from layerfield.links import LINKS
 from layerfield.methods import ChainMethod, Method, NetworkMethod, RunOptions, SolverMethod
 from layerfield.nearest import did_you_mean
-from layerfield.solve import Problem, Solution, State
+from layerfield.solve import Problem, Solution, Solver, State
 from layerfield.solvers.fourier_admm import FourierAdmm
 from layerfield.solvers.fourier_start import FourierStart
 from layerfield.solvers.gradient import Gradient
+from layerfield.solvers.nearest_shifts import NearestShifts
 from layerfield.solvers.nmf import Nmf
 from layerfield.solvers.ntf import Ntf
 from layerfield.solvers.sart import Sart
@@ -40,6 +42,13 @@ class Synthesizer(Protocol):
 _ADDITIVE = ("additive",)
 _ANY = tuple(LINKS)
 
+
+def _any_distance(
+    name: str, summary: str, iterations: int, links: tuple[str, ...], solver: Solver
+) -> SolverMethod:
+    return SolverMethod(name, summary, iterations, links, lambda _: solver, lambda _: solver)
+
+
 _SOLVERS = (
     SolverMethod(
         "fourier-admm",
@@ -47,22 +56,17 @@ _SOLVERS = (
         10,
         _ANY,
         lambda link: FourierAdmm() if link.is_sum else FourierStart(),
+        lambda _: NearestShifts(),
     ),
-    SolverMethod("gradient", "accelerated projected gradients", 100, _ANY, lambda _: Gradient()),
+    _any_distance("gradient", "accelerated projected gradients", 100, _ANY, Gradient()),
     SolverMethod(
         "nmf", "multiplicative updates of non-negative factors", 100, _ADDITIVE, lambda _: Nmf()
     ),
-    SolverMethod(
-        "ntf",
-        "multiplicative updates of tensor displays",
-        100,
-        ("multiplicative",),
-        lambda _: Ntf(),
+    _any_distance(
+        "ntf", "multiplicative updates of tensor displays", 100, ("multiplicative",), Ntf()
     ),
-    SolverMethod("sart", "algebraic reconstruction, view by view", 50, _ADDITIVE, lambda _: Sart()),
-    SolverMethod(
-        "sweeps", "accelerated least squares, layer by layer", 10, _ANY, lambda _: Sweeps()
-    ),
+    _any_distance("sart", "algebraic reconstruction, view by view", 50, _ADDITIVE, Sart()),
+    _any_distance("sweeps", "accelerated least squares, layer by layer", 10, _ANY, Sweeps()),
 )
 _NETWORKS = (
     NetworkMethod.shipped("stacked-cnn", "trained stack of convolutions; see `weights`"),
@@ -133,6 +137,8 @@ def spelled(title: str, iterations: int) -> str:
 def pose(field: LightField, display: Display, weights: Sequence[float] | None = None) -> Problem:
     """Return the problem of showing a light field on a display.
 
+    Eyes between the viewpoints, if the light field has any, are further light paths.
+
     Raises:
         ValueError: the views are not those of the display.
     """
@@ -143,7 +149,8 @@ def pose(field: LightField, display: Display, weights: Sequence[float] | None = 
             f"'{field.name}' has {found} views, display '{display.name}' expects {wanted}; "
             f"choose with --views {wanted} or --step, or change the views of the display"
         )
-    return Problem.of(display, field.views, weights)
+    problem = Problem.of(display, field.views, weights)
+    return problem if field.between is None else with_eyes(problem, display, field.between)
 
 
 def synthesize(

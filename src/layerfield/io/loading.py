@@ -7,12 +7,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.io.images import Picture, to_floats
-from layerfield.io.options import FieldOptions, Grid
+from layerfield.io.options import FieldOptions
 from layerfield.io.readers import READERS
-from layerfield.io.reframing import plan_reframing
-from layerfield.io.selection import select_views
+from layerfield.io.reframing import Reframing, plan_reframing, reframing_of_eyes
+from layerfield.io.selection import select_eyes, select_views
 from layerfield.io.stored import StoredViews
-from layerfield.light_field import LightField
+from layerfield.light_field import EyeViews, LightField
 
 _DEFAULTS = FieldOptions()
 
@@ -33,10 +33,36 @@ def load_light_field(path: str | Path, options: FieldOptions = _DEFAULTS) -> Lig
     path = Path(path)
     stored = _open(path, options)
     grid, chosen = select_views(stored.grid, options)
-    views, notes = _decode(stored, grid, chosen, options)
+    first = stored.read(chosen[0])
+    reframe = plan_reframing(grid, _pixels(first), options)
+    views, notes = _decode(stored, chosen, reframe, (chosen[0], first))
     return LightField(
         views, grid, name=field_name(path), notes=tuple(dict.fromkeys(stored.notes + notes))
     )
+
+
+def load_eye_views(path: str | Path, options: FieldOptions, *, reach: float = 1.5) -> EyeViews:
+    """Read the views in and around those that `load_light_field` takes, cut to the same area.
+
+    Args:
+        path: the folder or file.
+        options: as for `load_light_field`; `step` and `views` say which views it takes.
+        reach: how far out to read, 1 for the outermost views that it takes.
+
+    Returns:
+        What all eyes see that the light field has views for; those that it takes, too.
+
+    Raises:
+        ValueError: as `load_light_field`.
+    """
+    stored = _open(Path(path), options)
+    grid, chosen = select_views(stored.grid, options)
+    first = stored.read(chosen[0])
+    places = select_eyes(stored.grid, options, reach)
+    plan = plan_reframing(grid, _pixels(first), options)
+    reframe, eyes = reframing_of_eyes(plan, grid, _pixels(first), list(places), options.shift)
+    views, _ = _decode(stored, tuple(places[eye] for eye in eyes), reframe, (chosen[0], first))
+    return EyeViews(views, eyes)
 
 
 def field_name(path: str | Path) -> str:
@@ -61,16 +87,20 @@ def _open(path: Path, options: FieldOptions) -> StoredViews:
     )
 
 
+def _pixels(picture: Picture) -> tuple[int, int]:
+    return picture.pixels.shape[0], picture.pixels.shape[1]
+
+
 def _decode(
-    stored: StoredViews, grid: Grid, chosen: tuple[int, ...], options: FieldOptions
+    stored: StoredViews, chosen: tuple[int, ...], reframe: Reframing, known: tuple[int, Picture]
 ) -> tuple[Float[Tensor, "view c y x"], tuple[str, ...]]:
-    first = stored.read(chosen[0])
-    reframe = plan_reframing(grid, (first.pixels.shape[0], first.pixels.shape[1]), options)
+    """Read and reframe chosen views; one of the light field is known, and others are like it."""
+    known_number, first = known
     views = torch.empty(0)
     notes: list[str] = []
     for place, number in enumerate(chosen):
-        picture = first if place == 0 else stored.read(number)
-        _refuse_difference(picture, first, stored.label(number), stored.label(chosen[0]))
+        picture = first if number == known_number else stored.read(number)
+        _refuse_difference(picture, first, stored.label(number), stored.label(known_number))
         notes += picture.notes
         pixels = torch.from_numpy(to_floats(picture.pixels, stored.label(number)))
         view = reframe(pixels, place)

@@ -1,14 +1,15 @@
 """Which part of every view to keep: shift, scale and crop."""
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
+from layerfield.geometry import Point
 from layerfield.io.options import Crop, FieldOptions, Grid
 
 _WHOLE = 1e-6  # shifts closer to a whole pixel than this are whole
@@ -43,6 +44,34 @@ class Reframing:
         return view[:, self.crop[0], self.crop[1]]
 
 
+def reframing_of_eyes(
+    plan: Reframing, grid: Grid, full: tuple[int, int], eyes: Sequence[Point], shift: float
+) -> tuple[Reframing, tuple[Point, ...]]:
+    """Reframe what eyes see as the views of a grid are reframed.
+
+    Args:
+        plan: of the grid.
+        grid: (rows, columns) of it.
+        full: (y, x) of a view as it is stored.
+        eyes: (x, y) of every eye, in view steps from the centre of the grid.
+        shift: of the plan.
+
+    Returns:
+        The plan, and the eyes that see all of what the views of the grid have in common.
+    """
+    rows, columns = ((count - 1) / 2 - (count - 1) // 2 for count in grid)
+    offsets = {(x, y): (_near(shift * (y + rows)), _near(shift * (x + columns))) for x, y in eyes}
+    kept = {
+        eye: offset
+        for eye, offset in offsets.items()
+        if all(
+            math.ceil(o) <= first and end <= math.floor(length - 1 + o) + 1
+            for o, (first, end), length in zip(offset, plan.window, full, strict=True)
+        )
+    }
+    return replace(plan, offsets=tuple(kept.values())), tuple(kept)
+
+
 def plan_reframing(grid: Grid, size: tuple[int, int], options: FieldOptions) -> Reframing:
     """Work out shift, scale and crop.
 
@@ -71,9 +100,12 @@ def plan_reframing(grid: Grid, size: tuple[int, int], options: FieldOptions) -> 
 
 def _offsets(count: int, shift: float) -> Iterator[float]:
     for step in range(count):
-        offset = shift * (step - (count - 1) // 2)
-        near = round(offset)
-        yield float(near) if abs(offset - near) < _WHOLE else offset
+        yield _near(shift * (step - (count - 1) // 2))
+
+
+def _near(offset: float) -> float:
+    near = round(offset)
+    return float(near) if abs(offset - near) < _WHOLE else offset
 
 
 def _common_window(

@@ -1,5 +1,6 @@
 """Which views to decode: order, step and views."""
 
+from layerfield.geometry import Point
 from layerfield.io.options import FieldOptions, Grid
 from layerfield.io.stored import show
 
@@ -18,6 +19,37 @@ def select_views(grid: Grid, options: FieldOptions) -> tuple[Grid, tuple[int, ..
     Raises:
         ValueError: a step or a number of views that the grid does not have.
     """
+    rows, columns = _lines(grid, options)
+    chosen = tuple(options.order.index(r, c, grid) for r in rows for c in columns)
+    return (len(rows), len(columns)), chosen
+
+
+def select_eyes(grid: Grid, options: FieldOptions, reach: float) -> dict[Point, int]:
+    """Choose all views in and around those that `select_views` chooses.
+
+    Args:
+        grid: (rows, columns) of the light field.
+        options: `order`, `step` and `views` matter.
+        reach: how far out, 1 for the outermost views that `select_views` chooses.
+
+    Returns:
+        The position (x, y) of every view, in view steps from the centre of the chosen grid, and
+        its place in the stored sequence.
+    """
+    (ys, xs) = (
+        [
+            (place, index)
+            for index in range(count)
+            if abs(place := (index - (line[0] + line[-1]) / 2) / options.step)
+            <= reach * (len(line) - 1) / 2
+        ]
+        for count, line in zip(grid, _lines(grid, options), strict=True)
+    )
+    return {(x, y): options.order.index(r, c, grid) for y, r in ys for x, c in xs}
+
+
+def _lines(grid: Grid, options: FieldOptions) -> tuple[range, range]:
+    """The rows and columns that are chosen."""
     rows, columns = (_every(count, options.step, grid) for count in grid)
     if options.views is not None:
         left = (len(rows), len(columns))
@@ -29,8 +61,7 @@ def select_views(grid: Grid, options: FieldOptions) -> tuple[Grid, tuple[int, ..
             )
         rows = _central(rows, options.views[0])
         columns = _central(columns, options.views[1])
-    chosen = tuple(options.order.index(r, c, grid) for r in rows for c in columns)
-    return (len(rows), len(columns)), chosen
+    return rows, columns
 
 
 def _every(count: int, step: int, grid: Grid) -> range:

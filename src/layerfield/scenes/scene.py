@@ -55,7 +55,9 @@ class Scene:
         return rays.disparity.masked_fill(rays.coverage < 0.5, -math.inf).amax(1)
 
 
-def render(scene: Scene, positions: Sequence[Point]) -> Float[Tensor, "batch view c y x"]:
+def render(
+    scene: Scene, positions: Sequence[Point], approaches: Sequence[float] | None = None
+) -> Float[Tensor, "batch view c y x"]:
     """Return the views of a scene from a list of viewpoints.
 
     Edges and creases are anti-aliased over one pixel; what shows through an edge is the nearest
@@ -64,6 +66,8 @@ def render(scene: Scene, positions: Sequence[Point]) -> Float[Tensor, "batch vie
     Args:
         scene: what is seen.
         positions: (x, y) of every viewpoint, as in `Geometry.slopes`.
+        approaches: a of every viewpoint, as in `Geometry.approaches`, where distances differ: the
+            slope is s + a x in the pixel at x.
 
     Raises:
         ValueError: no viewpoints, or one so far out that it sees a surface from behind.
@@ -80,7 +84,7 @@ def render(scene: Scene, positions: Sequence[Point]) -> Float[Tensor, "batch vie
     atlas = scene.textures.transpose(1, 2).flatten(2, 3)
     views = atlas.new_empty(batch, len(positions), channels, *scene.size)
     for i, slope in enumerate(positions):
-        views[:, i] = _view(scene, atlas, slope)
+        views[:, i] = _view(scene, atlas, slope, approaches[i] if approaches else 0.0)
     return views
 
 
@@ -190,7 +194,7 @@ class _Rays:
     at: Float[Tensor, "batch surface y x 2"]
 
 
-def _trace(scene: Scene, slope: Point) -> _Rays:
+def _trace(scene: Scene, slope: Point, approach: float = 0.0) -> _Rays:
     facing = _facing(scene.gradients, slope)
     steepness = scene.gradients / facing[..., None]
     y, x = pixel_centres(scene.size, facing.device)
@@ -198,10 +202,14 @@ def _trace(scene: Scene, slope: Point) -> _Rays:
     disparity = torch.addcmul(
         (scene.disparities / facing)[..., None, None] + along_y * y, along_x, x
     )
+    if approach != 0:
+        disparity = disparity / (1 - approach * (along_x * x + along_y * y))
     at = disparity.new_empty(*disparity.shape, 2)
     for axis, (position, extent) in enumerate(((x, scene.canvas[1]), (y, scene.canvas[0]))):
         scale = 2 / extent
         at[..., axis] = torch.add(position * scale, disparity, alpha=slope[axis] * scale)
+        if approach != 0:
+            at[..., axis] += disparity * position * (approach * scale)
     outline = scene.silhouettes.flatten(0, 1)[:, None]
     distance = grid_sample(
         outline, at.flatten(0, 1), padding_mode="reflection", align_corners=False
@@ -215,8 +223,10 @@ def _facing(gradients: Float[Tensor, "*batch 2"], slope: Point) -> Float[Tensor,
     return 1 - gradients[..., 0] * slope[0] - gradients[..., 1] * slope[1]
 
 
-def _view(scene: Scene, atlas: Tensor, slope: Point) -> Float[Tensor, "batch c y x"]:
-    rays = _trace(scene, slope)
+def _view(
+    scene: Scene, atlas: Tensor, slope: Point, approach: float
+) -> Float[Tensor, "batch c y x"]:
+    rays = _trace(scene, slope, approach)
     front = _nearest(rays.disparity.masked_fill(rays.coverage <= 0, -math.inf))
     solid = rays.disparity.masked_fill(rays.coverage < 0.5, -math.inf)
     behind = _nearest(solid.scatter_(1, front, -math.inf))

@@ -50,6 +50,7 @@ from layerfield.refusals import (
     refuse_unknown,
     told_apart,
 )
+from layerfield.remarks import made_for_another_transfer, values_taken_for_light
 from layerfield.result import (
     display_of,
     make_result,
@@ -184,6 +185,8 @@ def synth(
             options=recorded(options),
         )
         write_result(out, result, simulate=simulate_views, force=force)
+    for remark in values_taken_for_light(loaded, target):
+        say(remark)
     report(out, loaded, result.facts)
 
 
@@ -207,9 +210,8 @@ def simulate_command(
     largest_code(bits)
     refuse_existing(out, force=force)
     keep_inputs(out, folder, own_file(display))
-    layers, shown_on = read_layers(folder), display_of(folder)
-    if display is not None:
-        shown_on = Display.load(display)
+    layers, made_for = read_layers(folder), display_of(folder)
+    shown_on = made_for if display is None else Display.load(display)
     if shown_on is None:
         raise ValueError(f"{folder} holds no display.toml; say which display with --display")
     given = margin_of(folder) if margin is None else (margin, margin)
@@ -219,6 +221,8 @@ def simulate_command(
         if array:
             write_views_array(temporary / "views.npy", views, shown_on)
         (temporary / "display.toml").write_text(format_spec(shown_on.spec), "utf-8")
+    for remark in made_for_another_transfer(made_for, shown_on):
+        say(remark)
     say(f"{len(views)} views are in {out / 'views'}")
 
 
@@ -254,6 +258,8 @@ def evaluate_command(
             rows = evaluate(loaded, models, chosen, bits=bits, isolate=True, tick=tick)
         if path is not None:
             write_rows(path, rows)
+    for remark in [note for f in loaded for d in models for note in values_taken_for_light(f, d)]:
+        say(remark)
     print_tables(rows)
 
 

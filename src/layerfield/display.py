@@ -21,6 +21,8 @@ class Display(nn.Module):
 
     L_i(x) = mean over subframes of link_k P_k(x + d_ik)
 
+    Layers and views are light here; `transfer` says what the values in their files stand for.
+
     Args:
         spec: the display as data; see `Display.load` for presets and files.
     """
@@ -30,6 +32,7 @@ class Display(nn.Module):
         self.spec = spec
         self.geometry = spec.geometry()
         self.link = LINKS[spec.link]
+        self.transfer = spec.transfer
         self.projection = Projection(self.geometry.shifts, self.geometry.margin)
 
     @classmethod

@@ -3,12 +3,20 @@
 import json
 import math
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    PlainValidator,
+    model_validator,
+)
 
 from layerfield.geometry import Geometry, Point, grid_points
 from layerfield.toml_model import parse_toml, read_toml_text, validated
+from layerfield.transfer import NONE, Transfer, transfer_of
 
 # Strict: no text or truth value passes for a number.
 Count = Annotated[int, Field(strict=True, ge=1)]
@@ -16,6 +24,18 @@ Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Grid = tuple[Count, Count]
 Viewpoints = tuple[tuple[Number, Number], ...]
 Depths = Annotated[tuple[Number, ...], Field(min_length=1, max_length=8)]
+
+
+def _transfer(written: Any, info: Any) -> Transfer:
+    """Validate; `info` is a ValidationInfo, a protocol that cannot be checked at run time."""
+    if isinstance(written, Transfer):
+        return written
+    return transfer_of(written, (info.context or {}).get("folder", Path()))
+
+
+WrittenTransfer = Annotated[
+    Transfer, PlainValidator(_transfer), PlainSerializer(lambda transfer: transfer.written())
+]
 
 _MOST_VIEWS = 10_000
 _WIDEST_MARGIN = 4096  # pixels; wider ones come from mistaken units
@@ -28,6 +48,7 @@ class _Spec(BaseModel):
     description: str = ""
     link: Literal["additive", "multiplicative"]
     views: Grid | None = None
+    transfer: WrittenTransfer = NONE
 
     @model_validator(mode="after")
     def _geometry_holds(self):
@@ -133,8 +154,13 @@ def _one_of(
     return listed if grid is None else grid_points(grid, step)  # pyright: ignore[reportReturnType]
 
 
-def parse_spec(text: str, source: str) -> Spec:
+def parse_spec(text: str, source: str, folder: Path | None = None) -> Spec:
     """Parse the TOML text of a display.
+
+    Args:
+        text: of the file.
+        source: what an error calls it.
+        folder: where the files that it names are; the working folder if not given.
 
     Raises:
         ValueError: not TOML, an unknown or missing key, or values that make no display; one line
@@ -142,7 +168,7 @@ def parse_spec(text: str, source: str) -> Spec:
     """
     data = parse_toml(text, source)
     model = PhysicalSpec if any(key in data for key in _PHYSICAL_KEYS) else DisparitySpec
-    return validated(model, data, source)
+    return validated(model, data, source, folder)
 
 
 def format_spec(spec: Spec) -> str:
@@ -153,7 +179,7 @@ def format_spec(spec: Spec) -> str:
 
 def read_spec(path: Path) -> Spec:
     """Read a display from a TOML file."""
-    return parse_spec(read_toml_text(path, "a display"), str(path))
+    return parse_spec(read_toml_text(path, "a display"), str(path), path.parent)
 
 
 _PHYSICAL_KEYS = set(PhysicalSpec.model_fields) - set(DisparitySpec.model_fields)
@@ -162,6 +188,8 @@ _PHYSICAL_KEYS = set(PhysicalSpec.model_fields) - set(DisparitySpec.model_fields
 def _toml(value: object) -> str:
     if isinstance(value, tuple):
         return "[" + ", ".join(map(_toml, value)) + "]"
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {_toml(each)}" for key, each in value.items()) + " }"
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     return repr(value)  # numbers: repr is exact, and inf is TOML

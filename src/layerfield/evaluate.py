@@ -39,7 +39,8 @@ class Figures:
     """What layers show, judged from their quantised panel images.
 
     Args:
-        psnr: whole image, all views together, dB.
+        psnr: whole image, all views together, dB; as the next five on the values of the files.
+        psnr_linear: the same in light; another figure where the display has a transfer.
         psnr_interior: the same without a border.
         ssim: mean over views, clipped to 0..1.
         psnr_view_min: of the worst view, dB.
@@ -49,6 +50,7 @@ class Figures:
     """
 
     psnr: float
+    psnr_linear: float
     psnr_interior: float
     ssim: float
     psnr_view_min: float
@@ -58,11 +60,13 @@ class Figures:
 
 
 def figures(layers: Tensor, field: LightField, display: Display) -> Figures:
-    """Return the figures of quality of layers, 0 to 1."""
-    views = display(layers)
+    """Return the figures of quality of layers, light from 0 to 1."""
+    light = display(layers)
+    views = display.transfer.encode(light)
     by_view = psnr_by_view(views, field.views)
     return Figures(
         psnr=psnr(views, field.views),
+        psnr_linear=psnr(light, display.transfer.decode(field.views)),
         psnr_interior=psnr(interior(views, display.margin), interior(field.views, display.margin)),
         ssim=ssim(views, field.views),
         psnr_view_min=min(by_view),
@@ -82,7 +86,7 @@ def _spread(decibels: Sequence[float]) -> float:
 
 @dataclass(frozen=True)
 class Row:
-    """One method on one light field and display."""
+    """One method on one light field and display; mean square errors are those of light."""
 
     field: str
     display: str
@@ -224,8 +228,9 @@ def _measure(job: _Job) -> Row:
         _warm_up(field, display, job)
     solution = synthesize(field, display, method=job.method, iterations=job.iterations)
     peak = peak_megabytes() if job.own_process else None
-    codes = panel_codes(pose(field, display), solution.layers, bits=job.bits)
-    layers = dequantise(codes)
+    problem, transfer = pose(field, display), display.transfer
+    codes = panel_codes(problem, solution.layers, bits=job.bits, transfer=transfer)
+    layers = dequantise(codes, transfer)
     return Row(
         field=field.name,
         display=display.name,
@@ -234,7 +239,7 @@ def _measure(job: _Job) -> Row:
         seconds=solution.seconds,
         peak_mb=peak,
         bits=job.bits,
-        mean_square_error=mean_square_error(display(layers), field.views),
+        mean_square_error=mean_square_error(display(layers), problem.target),
         figures=figures(layers, field, display),
         made_with=provenance(field.views.device),
         details=dict(solution.details),
@@ -270,12 +275,29 @@ def _title(row: Row) -> str:
     if found is None:
         return title
     bound = "" if found.gap_db is None else f", certified to {found.gap_db:.3f} dB"
-    return f"{title}: {found.kind} {found.psnr:.2f} dB ({found.method}{bound})"
+    light = " in linear light" if _differ(row) else ""
+    return f"{title}: {found.kind} {found.psnr:.2f} dB{light} ({found.method}{bound})"
+
+
+def _differ(row: Row) -> bool:
+    """Say whether figures of encoded values are others than those of light."""
+    return row.figures.psnr != row.figures.psnr_linear
 
 
 def _lines(rows: Sequence[Row]) -> list[list[str]]:
     isolated = all(row.peak_mb is not None for row in rows)
-    heading = ["method", "PSNR dB", "interior", "excess", "SSIM", "views dB", "s", "layer means"]
+    both = any(map(_differ, rows))
+    heading = [
+        "method",
+        "PSNR dB",
+        *["linear"] * both,
+        "interior",
+        "excess",
+        "SSIM",
+        "views dB",
+        "s",
+        "layer means",
+    ]
     lines = [[*heading, *["MB"] * isolated]]
     for row in rows:
         found, reached = row.figures, row.mean_square_error
@@ -283,6 +305,7 @@ def _lines(rows: Sequence[Row]) -> list[list[str]]:
             [
                 row.label,
                 f"{found.psnr:.2f}",
+                *[f"{found.psnr_linear:.2f}"] * both,
                 f"{found.psnr_interior:.2f}",
                 f"{excess(reached, row.reference.mean_square_error):.1%}" if row.reference else "",
                 f"{found.ssim:.4f}",

@@ -15,6 +15,7 @@ class LightField:
         grid: (rows, columns) of the viewpoints.
         name: what tables and reports call it.
         notes: what a reader had to do that its user may want to know, one sentence each.
+        bits: of the whole numbers that the views were stored as; None if those were floats.
 
     Raises:
         ValueError: the number of views is not rows times columns.
@@ -24,6 +25,7 @@ class LightField:
     grid: tuple[int, int]
     name: str = "light field"
     notes: tuple[str, ...] = ()
+    bits: int | None = None
 
     def __post_init__(self) -> None:
         rows, columns = self.grid

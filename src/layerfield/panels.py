@@ -4,6 +4,8 @@ import torch
 from jaxtyping import Float, UInt
 from torch import Tensor
 
+from layerfield.transfer import NONE, Transfer
+
 _DTYPES = {8: torch.uint8, 16: torch.uint16}
 
 
@@ -19,14 +21,16 @@ def largest_code(bits: int) -> int:
 
 
 def quantise(
-    layers: Float[Tensor, "*batch layer c y x"], bits: int
+    layers: Float[Tensor, "*batch layer c y x"], bits: int, transfer: Transfer = NONE
 ) -> UInt[Tensor, "*batch layer c y x"]:
-    """Round layers, 0 to 1, to the nearest codes of a panel."""
-    codes = (layers * largest_code(bits)).round().clamp(0, largest_code(bits))
+    """Round layers, light from 0 to 1, to the nearest codes of a panel."""
+    codes = (transfer.encode(layers) * largest_code(bits)).round().clamp(0, largest_code(bits))
     return codes.to(_DTYPES[bits])
 
 
-def dequantise(codes: UInt[Tensor, "*batch layer c y x"]) -> Float[Tensor, "*batch layer c y x"]:
-    """Return the layers, 0 to 1, that codes stand for."""
+def dequantise(
+    codes: UInt[Tensor, "*batch layer c y x"], transfer: Transfer = NONE
+) -> Float[Tensor, "*batch layer c y x"]:
+    """Return the layers, light from 0 to 1, that codes stand for."""
     bits = {dtype: bits for bits, dtype in _DTYPES.items()}[codes.dtype]
-    return codes.to(torch.float32) / largest_code(bits)
+    return transfer.decode(codes.to(torch.float32) / largest_code(bits))

@@ -72,9 +72,11 @@ def make_result(
         options: how the light field was read, to be recorded.
     """
     problem = Problem.of(display, field.views)
-    codes = panel_codes(problem, solution.layers, bits=bits, rounding=rounding)
-    layers = dequantise(codes)
-    error = mean_square_error(display(layers), field.views)
+    codes = panel_codes(
+        problem, solution.layers, bits=bits, rounding=rounding, transfer=display.transfer
+    )
+    layers = dequantise(codes, display.transfer)
+    error = mean_square_error(display(layers), problem.target)
     facts = {
         "method": method,
         "solver": _hyper_parameters(solution),
@@ -118,7 +120,7 @@ def write_result(
         (temporary / "display.toml").write_text(format_spec(result.display.spec), "utf-8")
         (temporary / "result.json").write_text(json.dumps(result.facts, indent=2), "utf-8")
         if simulate:
-            views = result.display(dequantise(result.codes).unsqueeze(-5))
+            views = _seen(dequantise(result.codes), result.display, result.display.margin)
             write_views(temporary / "views", views, result.display, result.facts["bits"])
 
 
@@ -140,7 +142,7 @@ def write_views_array(path: Path, views: Float[Tensor, "view c y x"], display: D
 
 
 def read_layers(folder: str | Path) -> Float[Tensor, "layer c ly lx"]:
-    """Read layer images, 0 to 1, from a result of `synth` or from a plain folder of images.
+    """Read layer images, values from 0 to 1, of a result of `synth` or a plain folder of images.
 
     Images are taken in the order of the numbers in their names, the nearest to the viewer first.
 
@@ -194,10 +196,10 @@ def margin_of(folder: str | Path) -> tuple[int, int] | None:
 def simulate(
     layers: Float[Tensor, "layer c ly lx"], display: Display, margin: tuple[int, int]
 ) -> Float[Tensor, "view c y x"]:
-    """Return the unclipped views that layers show.
+    """Return the unclipped views that layers show, encoded as those in files are.
 
     Args:
-        layers: values, 0 to 1, front to back.
+        layers: encoded values, 0 to 1, front to back.
         display: what shows them.
         margin: pixels (y, x) by which they exceed the views on each side. Light paths that leave
             the layers go on unchanged: nothing is added, or multiplied.
@@ -215,7 +217,12 @@ def simulate(
             f"layers of {_size(layers)} with a margin of {margin[1]}x{margin[0]} px show no views; "
             "give a smaller --margin, 0 or more"
         )
-    return display(display.surround(layers, display.margin, margin).unsqueeze(-5))
+    return _seen(layers, display, margin)
+
+
+def _seen(layers: Tensor, display: Display, margin: tuple[int, int]) -> Tensor:
+    light = display.surround(display.transfer.decode(layers), display.margin, margin)
+    return display.transfer.encode(display(light.unsqueeze(-5)))
 
 
 def _layer_files(folder: Path) -> list[Path]:

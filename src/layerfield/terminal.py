@@ -49,14 +49,17 @@ def report(out: Path, field: LightField, facts: dict[str, Any]) -> None:
     """Say what synthesis reached, beside the reference if there is one."""
     for note in field.notes:
         say(f"note: {note}")
+    light = facts["psnr_linear"] != facts["psnr"]
     compared = "; add --reference to see how near that is to the best"
     if facts["reference"] is not None:
         known = facts["reference"]
         excess = "" if facts["excess"] is None else f", excess {facts['excess']:.1%}"
-        compared = f"; {known['kind']} {_decibels(known['psnr'])}{excess}"
+        where = " in linear light" if light else ""
+        compared = f"; {known['kind']} {_decibels(known['psnr'])}{where}{excess}"
+    linear = f", linear light {_decibels(facts['psnr_linear'])}" if light else ""
     say(
         f"{facts['method']} on {facts['display']}: {_decibels(facts['psnr'])} (interior "
-        f"{_decibels(facts['psnr_interior'])}) after {_effort(facts)}{compared}"
+        f"{_decibels(facts['psnr_interior'])}{linear}) after {_effort(facts)}{compared}"
     )
     say(f"{len(facts['layers'])} layers, {facts['bits']} bit, are in {out / 'layers'}")
 

@@ -43,15 +43,23 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
         raise ValueError(f"{source} is not valid TOML: {error}") from None
 
 
-def validated(model: type[Model], data: dict[str, Any], source: str) -> Model:
+def validated(
+    model: type[Model], data: dict[str, Any], source: str, folder: Path | None = None
+) -> Model:
     """Return the model that the data describe.
+
+    Args:
+        model: of the file.
+        data: what the file holds.
+        source: what an error calls the file.
+        folder: where the files that it names are; validators find it in their context.
 
     Raises:
         ValueError: an unknown or missing key, or a wrong value; one line that names the source,
             the key and the remedy.
     """
     try:
-        return model.model_validate(data)
+        return model.model_validate(data, context={"folder": folder or Path()})
     except ValidationError as error:
         # A mistyped key is also a missing one; the typo says more.
         first = min(error.errors(), key=lambda each: each["type"] != "extra_forbidden")

@@ -27,6 +27,7 @@ from layerfield.display_spec import parse_spec
 from layerfield.io.safe_output import whole_file
 from layerfield.nearest import did_you_mean
 from layerfield.networks import NETWORKS, Network
+from layerfield.transfer import NONE, named
 
 TRAINED = Path(__file__).parent / "trained"  # weights that come with the package
 WEIGHT_SUFFIX = ".safetensors"
@@ -82,7 +83,7 @@ class TrainedNetwork:
         """Refuse a display that the network was not trained for.
 
         Raises:
-            ValueError: another link, view grid or shifts; names both view grids.
+            ValueError: another link, transfer, view grid or shifts; names both view grids.
         """
         if not same_light_paths(self.display, display):
             raise ValueError(
@@ -100,8 +101,9 @@ class TrainedNetwork:
 
 
 def same_light_paths(one: Display, other: Display) -> bool:
-    """Say whether displays have the same link, view grid and shifts, whatever their names."""
-    if (one.link.name, one.geometry.grid) != (other.link.name, other.geometry.grid):
+    """Say whether displays have one link, transfer, view grid and shifts, whatever their names."""
+    laws = [(d.link.name, d.transfer, d.geometry.grid) for d in (one, other)]
+    if laws[0] != laws[1]:
         return False
     pair = [[c for view in d.geometry.shifts for s in view for c in s] for d in (one, other)]
     return len(pair[0]) == len(pair[1]) and all(
@@ -113,7 +115,9 @@ def _described(display: Display) -> str:
     grid = display.geometry.grid
     views = f"{grid[0]}x{grid[1]} views" if grid else f"{display.view_count} listed views"
     reach = max(abs(c) for view in display.geometry.shifts for shift in view for c in shift)
-    return f"{display.link.name}, {views}, {display.layer_count} layers, shifts to {reach:g} px"
+    law = "" if display.transfer == NONE else f", transfer {named(display.transfer)}"
+    layers = f"{display.layer_count} layers, shifts to {reach:g} px"
+    return f"{display.link.name}, {views}, {layers}{law}"
 
 
 # ------------------------------------------------------------------------------------ weight files

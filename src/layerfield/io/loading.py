@@ -33,9 +33,14 @@ def load_light_field(path: str | Path, options: FieldOptions = _DEFAULTS) -> Lig
     path = Path(path)
     stored = _open(path, options)
     grid, chosen = select_views(stored.grid, options)
-    views, notes = _decode(stored, grid, chosen, options)
+    first = stored.read(chosen[0])
+    views, notes = _decode(stored, first, grid, chosen, options)
     return LightField(
-        views, grid, name=field_name(path), notes=tuple(dict.fromkeys(stored.notes + notes))
+        views,
+        grid,
+        name=field_name(path),
+        notes=tuple(dict.fromkeys(stored.notes + notes)),
+        bits=8 * first.pixels.itemsize if first.pixels.dtype.kind == "u" else None,
     )
 
 
@@ -62,9 +67,8 @@ def _open(path: Path, options: FieldOptions) -> StoredViews:
 
 
 def _decode(
-    stored: StoredViews, grid: Grid, chosen: tuple[int, ...], options: FieldOptions
+    stored: StoredViews, first: Picture, grid: Grid, chosen: tuple[int, ...], options: FieldOptions
 ) -> tuple[Float[Tensor, "view c y x"], tuple[str, ...]]:
-    first = stored.read(chosen[0])
     reframe = plan_reframing(grid, (first.pixels.shape[0], first.pixels.shape[1]), options)
     views = torch.empty(0)
     notes: list[str] = []

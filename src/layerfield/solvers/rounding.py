@@ -9,6 +9,7 @@ from layerfield.nearest import did_you_mean
 from layerfield.panels import dequantise, quantise
 from layerfield.solve import Problem, solve
 from layerfield.solvers.sweeps import layer_step
+from layerfield.transfer import NONE, Transfer
 
 ROUNDINGS = ("joint", "nearest")
 _ROUNDING_SWEEPS = 2
@@ -23,9 +24,11 @@ class JointRounding:
 
     Args:
         bits: of the panels, 8 or 16.
+        transfer: what light their codes make.
     """
 
     bits: int
+    transfer: Transfer = NONE
 
     def init(self, problem: Problem, start: Tensor | None) -> Tensor:
         return problem.flat_start() if start is None else start.clone()
@@ -35,7 +38,7 @@ class JointRounding:
         for k in range(problem.layer_count):
             layer = layers[..., k, :, :, :]
             best = layer.add(layer_step(problem, layers, k)).clamp(*problem.bounds)
-            layer.copy_(dequantise(quantise(best, self.bits)))
+            layer.copy_(dequantise(quantise(best, self.bits, self.transfer), self.transfer))
         return layers
 
     def layers(
@@ -50,15 +53,17 @@ def panel_codes(
     *,
     bits: int,
     rounding: str = "joint",
+    transfer: Transfer = NONE,
 ) -> UInt[Tensor, "*batch subframe layer c ly lx"]:
     """Return layers as codes of a panel.
 
     Args:
         problem: what the layers show.
-        layers: values, 0 to 1.
+        layers: light, 0 to 1.
         bits: 8 or 16.
         rounding: "joint": layers together, against the views; at 16 bits, where rounding costs
             nothing, it is "nearest" all the same: each pixel by itself.
+        transfer: what light the codes make.
 
     Raises:
         ValueError: another number of bits or kind of rounding.
@@ -66,6 +71,6 @@ def panel_codes(
     if rounding not in ROUNDINGS:
         raise ValueError(f"unknown rounding '{rounding}'{did_you_mean(rounding, ROUNDINGS)}")
     if rounding == "joint" and bits == 8:
-        solver = JointRounding(bits)
+        solver = JointRounding(bits, transfer)
         layers = solve(problem, solver, iterations=_ROUNDING_SWEEPS, init=layers).layers
-    return quantise(layers, bits)
+    return quantise(layers, bits, transfer)

@@ -59,11 +59,12 @@ def test_lower_rooms_do_not_import_higher_ones():
     """Data flows one way; a room is imported only by rooms listed after it."""
     order = [
         "version", "nearest", "own_process", "toml_model", "geometry", "light_field", "projection",
-        "gram", "links", "composition", "transfer", "display_spec", "display", "panels", "solve",
-        "solvers", "networks", "metrics", "provenance", "scenes", "io", "plane_sweep", "disparity",
-        "weights", "methods", "synthesizer", "reference", "evaluate", "remarks", "result",
-        "training", "report", "demo", "reproduction", "terminal", "process", "cli_options",
-        "refusals", "cli_reproduction", "cli_training", "cli", "__main__",
+        "panel_projection", "gram", "links", "composition", "transfer", "panel_spec",
+        "display_spec", "display", "panels", "solve", "solvers", "panel_images", "networks",
+        "metrics", "provenance", "scenes", "io", "plane_sweep", "disparity", "weights", "methods",
+        "synthesizer", "reference", "evaluate", "remarks", "result", "training", "report", "demo",
+        "reproduction", "terminal", "process", "cli_options", "refusals", "cli_reproduction",
+        "cli_training", "cli", "__main__",
     ]  # fmt: skip
     source = ROOT / "src" / "layerfield"
     for file in source.rglob("*.py"):

@@ -38,6 +38,7 @@ from layerfield.io import (
 )
 from layerfield.light_field import LightField
 from layerfield.methods import CHAIN_ITERATIONS
+from layerfield.panel_images import panel_projection
 from layerfield.panels import largest_code
 from layerfield.process import run
 from layerfield.reference import cached_reference, reference
@@ -56,7 +57,10 @@ from layerfield.result import (
     make_result,
     margin_of,
     read_layers,
+    read_panels,
     simulate,
+    simulate_panels,
+    view_size_of,
     write_result,
     write_views,
     write_views_array,
@@ -162,6 +166,8 @@ def synth(
     with status(total=count or None) as tick:
         tick("reading")
         loaded = _load(field, options)
+        if target.panels:
+            panel_projection(target, loaded.size)
         loaded = replace(loaded, views=loaded.views.to(device))
         solution = synthesize(
             loaded,
@@ -210,12 +216,17 @@ def simulate_command(
     largest_code(bits)
     refuse_existing(out, force=force)
     keep_inputs(out, folder, own_file(display))
-    layers, made_for = read_layers(folder), display_of(folder)
+    made_for = display_of(folder)
     shown_on = made_for if display is None else Display.load(display)
     if shown_on is None:
         raise ValueError(f"{folder} holds no display.toml; say which display with --display")
-    given = margin_of(folder) if margin is None else (margin, margin)
-    views = simulate(layers, shown_on, shown_on.margin if given is None else given)
+    panels = read_panels(folder) if shown_on.panels and margin is None else []
+    if panels:
+        views = simulate_panels(panels, shown_on, view_size_of(folder))
+    else:
+        layers = read_layers(folder)
+        given = margin_of(folder) if margin is None else (margin, margin)
+        views = simulate(layers, shown_on, shown_on.margin if given is None else given)
     with whole_directory(out, force=force) as temporary:
         write_views(temporary / "views", views, shown_on, bits)
         if array:

@@ -5,37 +5,18 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    PlainSerializer,
-    PlainValidator,
-    model_validator,
-)
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from layerfield.geometry import Geometry, Point, grid_points
-from layerfield.toml_model import parse_toml, read_toml_text, validated
-from layerfield.transfer import NONE, Transfer, transfer_of
+from layerfield.panel_spec import PanelSpec
+from layerfield.toml_model import Number, parse_toml, read_toml_text, validated
+from layerfield.transfer import NONE, WrittenTransfer
 
 # Strict: no text or truth value passes for a number.
 Count = Annotated[int, Field(strict=True, ge=1)]
-Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Grid = tuple[Count, Count]
 Viewpoints = tuple[tuple[Number, Number], ...]
 Depths = Annotated[tuple[Number, ...], Field(min_length=1, max_length=8)]
-
-
-def _transfer(written: Any, info: Any) -> Transfer:
-    """Validate; `info` is a ValidationInfo, a protocol that cannot be checked at run time."""
-    if isinstance(written, Transfer):
-        return written
-    return transfer_of(written, (info.context or {}).get("folder", Path()))
-
-
-WrittenTransfer = Annotated[
-    Transfer, PlainValidator(_transfer), PlainSerializer(lambda transfer: transfer.written())
-]
 
 _MOST_VIEWS = 10_000
 _WIDEST_MARGIN = 4096  # pixels; wider ones come from mistaken units
@@ -93,6 +74,7 @@ class PhysicalSpec(_Spec):
             display, along its longer side (the step is the same along both) or [horizontal,
             vertical]; or else
         viewpoints_mm: (x, y) of every viewpoint on its plane, at a finite distance.
+        panels: what shows the layers, front to back; none if that does not matter yet.
     """
 
     depth_mm: Depths
@@ -100,6 +82,16 @@ class PhysicalSpec(_Spec):
     viewing_distance_mm: Annotated[float, Field(strict=True, gt=0)]
     viewing_angle_deg: Number | tuple[Number, Number] | None = None
     viewpoints_mm: Viewpoints | None = None
+    panels: tuple[PanelSpec, ...] = ()
+
+    @model_validator(mode="after")
+    def _panel_for_every_layer(self):
+        if self.panels and len(self.panels) != len(self.depth_mm):
+            raise ValueError(
+                f"found {len(self.panels)} panels for {len(self.depth_mm)} layers; write one "
+                "[[panels]] table for each number of 'depth_mm', front to back"
+            )
+        return self
 
     def geometry(self) -> Geometry:
         if self.views is not None and self.viewing_angle_deg is None:
@@ -174,6 +166,11 @@ def parse_spec(text: str, source: str, folder: Path | None = None) -> Spec:
 def format_spec(spec: Spec) -> str:
     """Return the TOML text from which `parse_spec` makes the same display."""
     data = spec.model_dump(mode="python", exclude_none=True, exclude_defaults=True)
+    panels = data.pop("panels", ())
+    return _lines(data) + "".join(f"\n[[panels]]\n{_lines(panel)}" for panel in panels)
+
+
+def _lines(data: dict[str, Any]) -> str:
     return "".join(f"{key} = {_toml(value)}\n" for key, value in data.items())
 
 

@@ -1,6 +1,7 @@
 """What synthesis leaves behind: a folder with layers, the display, and the facts.
 
-OUT/layers/layer_0.png ...   codes of the panels, layer 0 nearest to the viewer, margin included
+OUT/layers/layer_0.png ...   the layers, encoded, layer 0 nearest to the viewer, margin included
+OUT/panels/panel_0.png ...   what the panels get, if the display has panels
 OUT/display.toml             the display they are for
 OUT/result.json              method, figures, margin, versions
 OUT/views/view_RR_CC.png     what viewers see, if asked for
@@ -10,6 +11,7 @@ import dataclasses
 import json
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -25,7 +27,8 @@ from layerfield.evaluate import Figures, figures
 from layerfield.io import read_image, whole_directory, write_png
 from layerfield.io.images import SUFFIXES
 from layerfield.light_field import LightField
-from layerfield.metrics import excess, mean_square_error
+from layerfield.metrics import excess, mean_square_error, psnr
+from layerfield.panel_images import PanelImages, panel_images, views_through_panels
 from layerfield.panels import dequantise, quantise
 from layerfield.provenance import provenance
 from layerfield.reference import Reference
@@ -35,17 +38,19 @@ from layerfield.solvers.rounding import panel_codes
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """Layers as codes of the panels, and the facts about them.
+    """Layers and panels as codes, and the facts about them.
 
     Args:
-        codes: what is written, front to back.
+        codes: the layers that are written, front to back.
         display: what they are for.
         facts: everything that `result.json` holds.
+        panels: the pictures of the panels, if the display has any.
     """
 
     codes: UInt[Tensor, "layer c ly lx"]
     display: Display
     facts: dict[str, Any]
+    panels: tuple[UInt[Tensor, "c _ _"], ...] = ()
 
 
 def make_result(
@@ -77,6 +82,7 @@ def make_result(
     )
     layers = dequantise(codes, display.transfer)
     error = mean_square_error(display(layers), problem.target)
+    panels = panel_images(problem, solution.layers, display) if display.panels else None
     facts = {
         "method": method,
         "solver": _hyper_parameters(solution),
@@ -96,7 +102,24 @@ def make_result(
         "reference": reference and asdict(reference) | {"psnr": _finite(reference.psnr)},
         "excess": reference and _finite(excess(error, reference.mean_square_error)),
     }
-    return Result(codes.squeeze(-5), display, facts)
+    if panels is None:
+        return Result(codes.squeeze(-5), display, facts)
+    facts["panels"] = _panel_figures(panels, field, display)
+    return Result(codes.squeeze(-5), display, facts, _pictures(panels))
+
+
+def _pictures(panels: PanelImages) -> tuple[Tensor, ...]:
+    return tuple(codes.squeeze(-4) for codes in panels.codes)
+
+
+def _panel_figures(panels: PanelImages, field: LightField, display: Display) -> dict[str, Any]:
+    values = [dequantise(codes) for codes in panels.codes]
+    light = views_through_panels(values, display, field.size)
+    found = {
+        "psnr": psnr(display.transfer.encode(light), field.views),
+        "psnr_linear": psnr(light, display.transfer.decode(field.views)),
+    }
+    return {key: _finite(value) for key, value in found.items()} | {"missed": panels.missed}
 
 
 def write_result(
@@ -117,11 +140,23 @@ def write_result(
         (temporary / "layers").mkdir()
         for k, layer in enumerate(result.codes):
             write_png(temporary / "layers" / f"layer_{k}.png", layer.cpu())
+        if result.panels:
+            (temporary / "panels").mkdir()
+        for k, panel in enumerate(result.panels):
+            write_png(temporary / "panels" / f"panel_{k}.png", panel.cpu())
         (temporary / "display.toml").write_text(format_spec(result.display.spec), "utf-8")
         (temporary / "result.json").write_text(json.dumps(result.facts, indent=2), "utf-8")
         if simulate:
-            views = _seen(dequantise(result.codes), result.display, result.display.margin)
+            views = _views_of(result)
             write_views(temporary / "views", views, result.display, result.facts["bits"])
+
+
+def _views_of(result: Result) -> Float[Tensor, "view c y x"]:
+    """Return what viewers see: of the panels, or of the layers where there are none."""
+    if not result.panels:
+        return simulate(dequantise(result.codes), result.display, result.display.margin)
+    pictures = [dequantise(codes) for codes in result.panels]
+    return simulate_panels(pictures, result.display, result.facts["field"]["size"])
 
 
 def write_views(
@@ -153,7 +188,7 @@ def read_layers(folder: str | Path) -> Float[Tensor, "layer c ly lx"]:
     if not folder.is_dir():
         raise ValueError(f"there is no folder {folder}; expected a result of synth or layer images")
     inner = folder / "layers"
-    images = _layer_files(inner if inner.is_dir() else folder)
+    images = _numbered(inner if inner.is_dir() else folder)
     if not images:
         raise ValueError(
             f"found no layer images in {folder}; expected layer_0.png, layer_1.png ..."
@@ -166,6 +201,38 @@ def read_layers(folder: str | Path) -> Float[Tensor, "layer c ly lx"]:
                 "all layers must have one size and one kind"
             )
     return torch.stack(layers)
+
+
+def read_panels(folder: str | Path) -> list[Float[Tensor, "c _ _"]]:
+    """Read the pictures of panels, values from 0 to 1, of a result of `synth`; none if it has none.
+
+    Raises:
+        ValueError: pictures in colour beside grey ones.
+    """
+    inner = Path(folder) / "panels"
+    files = _numbered(inner) if inner.is_dir() else []
+    panels = [torch.from_numpy(read_image(file)) for file in files]
+    for file, panel in zip(files, panels, strict=True):
+        if panel.shape[0] != panels[0].shape[0]:
+            raise ValueError(f"{file.name} is {_size(panel)}, {files[0].name} {_size(panels[0])}")
+    return panels
+
+
+def view_size_of(folder: str | Path) -> tuple[int, int]:
+    """Return the height and width of the views that a result of `synth` was made for.
+
+    Raises:
+        ValueError: no result.json, or one that does not say.
+    """
+    path = Path(folder) / "result.json"
+    try:
+        size = json.loads(path.read_text("utf-8"))["field"]["size"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        size = None
+    match size:
+        case [int(height), int(width)] if height > 0 and width > 0:
+            return height, width
+    raise ValueError(f"{path} holds no size of the views; make the result anew")
 
 
 def display_of(folder: str | Path) -> Display | None:
@@ -217,15 +284,28 @@ def simulate(
             f"layers of {_size(layers)} with a margin of {margin[1]}x{margin[0]} px show no views; "
             "give a smaller --margin, 0 or more"
         )
-    return _seen(layers, display, margin)
-
-
-def _seen(layers: Tensor, display: Display, margin: tuple[int, int]) -> Tensor:
     light = display.surround(display.transfer.decode(layers), display.margin, margin)
     return display.transfer.encode(display(light.unsqueeze(-5)))
 
 
-def _layer_files(folder: Path) -> list[Path]:
+def simulate_panels(
+    pictures: Sequence[Float[Tensor, "c _ _"]], display: Display, view_size: tuple[int, int]
+) -> Float[Tensor, "view c y x"]:
+    """Return the unclipped views that the pictures of panels show, encoded as those in files are.
+
+    Args:
+        pictures: values, 0 to 1, front to back.
+        display: with panels.
+        view_size: height and width of the views.
+
+    Raises:
+        ValueError: not as many pictures as panels, of another size, or smaller than the views.
+    """
+    planes = [picture.unsqueeze(-4) for picture in pictures]
+    return display.transfer.encode(views_through_panels(planes, display, view_size))
+
+
+def _numbered(folder: Path) -> list[Path]:
     images = [
         p
         for p in folder.iterdir()

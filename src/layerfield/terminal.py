@@ -62,6 +62,16 @@ def report(out: Path, field: LightField, facts: dict[str, Any]) -> None:
         f"{_decibels(facts['psnr_interior'])}{linear}) after {_effort(facts)}{compared}"
     )
     say(f"{len(facts['layers'])} layers, {facts['bits']} bit, are in {out / 'layers'}")
+    if "panels" in facts:
+        _report_panels(out, facts["panels"])
+
+
+def _report_panels(out: Path, found: dict[str, Any]) -> None:
+    differ = found["psnr_linear"] != found["psnr"]
+    linear = f" (linear light {_decibels(found['psnr_linear'])})" if differ else ""
+    missed = max(found["missed"])
+    dark = f"; up to {missed:.1%} of the light paths miss one and are dark" if missed else ""
+    say(f"panels: {_decibels(found['psnr'])}{linear}, pictures in {out / 'panels'}{dark}")
 
 
 def _effort(facts: dict[str, Any]) -> str:

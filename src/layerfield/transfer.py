@@ -15,9 +15,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Annotated, Any, Protocol, runtime_checkable
 
 import torch
+from pydantic import PlainSerializer, PlainValidator
 from torch import Tensor
 
 from layerfield.geometry import Point
@@ -186,6 +187,18 @@ def transfer_of(written: Any, folder: Path) -> Transfer:
         case {"curve": list() | tuple() as points, **rest} if not rest:
             return Curve.measured([_point(point) for point in points])
     raise ValueError(f"found {written!r:.60}, {_KINDS}")
+
+
+def _validated(written: Any, info: Any) -> Transfer:
+    """Validate; `info` is a ValidationInfo, a protocol that cannot be checked at run time."""
+    if isinstance(written, Transfer):
+        return written
+    return transfer_of(written, (info.context or {}).get("folder", Path()))
+
+
+WrittenTransfer = Annotated[
+    Transfer, PlainValidator(_validated), PlainSerializer(lambda transfer: transfer.written())
+]
 
 
 def named(transfer: Transfer) -> str:

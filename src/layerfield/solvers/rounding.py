@@ -6,13 +6,13 @@ from jaxtyping import Float, UInt
 from torch import Tensor
 
 from layerfield.nearest import did_you_mean
-from layerfield.panels import dequantise, quantise
+from layerfield.panels import Response, quantise
 from layerfield.solve import Problem, solve
 from layerfield.solvers.sweeps import layer_step
 from layerfield.transfer import NONE, Transfer
 
 ROUNDINGS = ("joint", "nearest")
-_ROUNDING_SWEEPS = 2
+ROUNDING_SWEEPS = 2
 
 
 @dataclass(frozen=True)
@@ -23,22 +23,20 @@ class JointRounding:
     no two pixels of one layer meet, so this is the best choice of codes for that layer.
 
     Args:
-        bits: of the panels, 8 or 16.
-        transfer: what light their codes make.
+        responses: the codes of every layer's panel, front to back.
     """
 
-    bits: int
-    transfer: Transfer = NONE
+    responses: tuple[Response, ...]
 
     def init(self, problem: Problem, start: Tensor | None) -> Tensor:
         return problem.flat_start() if start is None else start.clone()
 
     def step(self, problem: Problem, state: Tensor) -> Tensor:
         layers = state.clone()
-        for k in range(problem.layer_count):
+        for k, response in enumerate(self.responses):
             layer = layers[..., k, :, :, :]
             best = layer.add(layer_step(problem, layers, k)).clamp(*problem.bounds)
-            layer.copy_(dequantise(quantise(best, self.bits, self.transfer), self.transfer))
+            layer.copy_(response.light(response.codes(best)).to(layer.dtype))
         return layers
 
     def layers(
@@ -71,6 +69,6 @@ def panel_codes(
     if rounding not in ROUNDINGS:
         raise ValueError(f"unknown rounding '{rounding}'{did_you_mean(rounding, ROUNDINGS)}")
     if rounding == "joint" and bits == 8:
-        solver = JointRounding(bits, transfer)
-        layers = solve(problem, solver, iterations=_ROUNDING_SWEEPS, init=layers).layers
+        solver = JointRounding((Response(bits, transfer),) * problem.layer_count)
+        layers = solve(problem, solver, iterations=ROUNDING_SWEEPS, init=layers).layers
     return quantise(layers, bits, transfer)

@@ -60,7 +60,7 @@ def test_lower_rooms_do_not_import_higher_ones():
     order = [
         "version", "nearest", "own_process", "toml_model", "geometry", "light_field", "projection",
         "panel_projection", "gram", "links", "composition", "transfer", "panel_spec",
-        "display_spec", "display", "panels", "solve", "solvers", "panel_images", "networks",
+        "display_spec", "display", "panels", "solve", "tone", "solvers", "panel_images", "networks",
         "metrics", "provenance", "scenes", "io", "plane_sweep", "disparity", "weights", "methods",
         "synthesizer", "reference", "evaluate", "remarks", "result", "training", "report", "demo",
         "reproduction", "terminal", "process", "cli_options", "refusals", "cli_reproduction",

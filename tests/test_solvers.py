@@ -161,6 +161,8 @@ GOLDEN = {
     ("fourier-admm", "multiplicative"): 34.55,
     ("gradient", "multiplicative"): 28.94,
     ("sweeps", "multiplicative"): 34.13,
+    ("tone", "additive"): 32.14,
+    ("tone", "multiplicative"): 34.59,
 }
 
 

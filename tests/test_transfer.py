@@ -12,6 +12,9 @@ from test_cli import HEIGHT, WIDTH, contents, desk, fails, original, read, run, 
 from layerfield import Display, Problem, procedural_light_field, psnr, synthesize
 from layerfield.display_spec import format_spec, parse_spec
 from layerfield.evaluate import evaluate, figures, tables
+from layerfield.links import LINKS
+from layerfield.result import make_result
+from layerfield.tone import EncodedLink
 from layerfield.transfer import NONE, Curve, Gamma, Srgb, named
 from layerfield.weights import same_light_paths
 
@@ -111,6 +114,35 @@ def test_a_display_with_another_transfer_is_another_one_to_networks(desk):
     (desk / "d.toml").write_text(text.replace("additive-3", "mine"))
     found = run("synth", "views", "--display", "d.toml", "--method", "unet", "--out", "out")
     fails(found, "shifts to 2 px, transfer srgb)", "layerfield train")
+
+
+# -------------------------------------------------------------------------- errors of the values
+
+
+@pytest.mark.parametrize("link", WAYS)
+def test_judging_values_wins_back_dark_tones(scene, link):
+    """Rounded to 8 bits, too: rounding goes on with the errors that were minimised."""
+    display = display_with(Srgb(), link)
+    found = {}
+    for method in ("fourier-admm", "tone"):
+        result = make_result(
+            scene, display, synthesize(scene, display, method=method), method=method, bits=8
+        )
+        found[method] = result.facts
+    assert found["tone"]["psnr"] > found["fourier-admm"]["psnr"] + 0.3
+    assert found["tone"]["psnr_linear"] < found["fourier-admm"]["psnr_linear"]
+
+
+@pytest.mark.parametrize("law", [Srgb(), Gamma(2.2), CURVE], ids=named)
+@pytest.mark.parametrize("link", WAYS)
+def test_derivative_of_an_encoded_link(law, link):
+    encoded = EncodedLink(LINKS[link], law)
+    pixels = [torch.tensor([0.3, 0.05, 0.4], dtype=torch.float64), torch.tensor([0.5, 0.3, 0.42])]
+    step = 1e-5
+    for k in range(2):
+        up, down = ([p + (j == k) * d for j, p in enumerate(pixels)] for d in (step, -step))
+        slope = (encoded.compose(up) - encoded.compose(down)) / (2 * step)
+        assert torch.allclose(encoded.derivative(pixels, k).double(), slope, rtol=0.01)
 
 
 # ------------------------------------------------------------------------------ the command line

@@ -216,7 +216,7 @@ def simulate_command(
     largest_code(bits)
     refuse_existing(out, force=force)
     keep_inputs(out, folder, own_file(display))
-    made_for = display_of(folder)
+    layers, made_for = read_layers(folder), display_of(folder)
     shown_on = made_for if display is None else Display.load(display)
     if shown_on is None:
         raise ValueError(f"{folder} holds no display.toml; say which display with --display")
@@ -224,7 +224,6 @@ def simulate_command(
     if panels:
         views = simulate_panels(panels, shown_on, view_size_of(folder))
     else:
-        layers = read_layers(folder)
         given = margin_of(folder) if margin is None else (margin, margin)
         views = simulate(layers, shown_on, shown_on.margin if given is None else given)
     with whole_directory(out, force=force) as temporary:

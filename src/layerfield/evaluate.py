@@ -229,7 +229,8 @@ def _measure(job: _Job) -> Row:
     solution = synthesize(field, display, method=job.method, iterations=job.iterations)
     peak = peak_megabytes() if job.own_process else None
     problem, transfer = pose(field, display), display.transfer
-    codes = panel_codes(problem, solution.layers, bits=job.bits, transfer=transfer)
+    solved = solution.problem or problem
+    codes = panel_codes(solved, solution.layers, bits=job.bits, transfer=transfer)
     layers = dequantise(codes, transfer)
     return Row(
         field=field.name,

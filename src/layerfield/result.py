@@ -77,12 +77,13 @@ def make_result(
         options: how the light field was read, to be recorded.
     """
     problem = Problem.of(display, field.views)
+    solved = solution.problem or problem
     codes = panel_codes(
-        problem, solution.layers, bits=bits, rounding=rounding, transfer=display.transfer
+        solved, solution.layers, bits=bits, rounding=rounding, transfer=display.transfer
     )
     layers = dequantise(codes, display.transfer)
     error = mean_square_error(display(layers), problem.target)
-    panels = panel_images(problem, solution.layers, display) if display.panels else None
+    panels = panel_images(solved, solution.layers, display) if display.panels else None
     facts = {
         "method": method,
         "solver": _hyper_parameters(solution),

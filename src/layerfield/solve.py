@@ -167,6 +167,7 @@ class Solution:
         solver: what made it, and
         state: its last state, for a warm start.
         details: what else is worth recording, by name: plain numbers and texts.
+        problem: what rounding has to go on with, if that is not the display's own problem.
     """
 
     layers: Float[Tensor, "*batch subframe layer c ly lx"]
@@ -177,6 +178,7 @@ class Solution:
     solver: Solver | None = None
     state: State = field(default=None, repr=False)
     details: Mapping[str, float | str] = field(default_factory=dict)
+    problem: Problem | None = field(default=None, repr=False)
 
 
 def solve(

@@ -15,7 +15,14 @@ from torch import Tensor
 from layerfield.display import Display
 from layerfield.light_field import LightField
 from layerfield.links import LINKS
-from layerfield.methods import ChainMethod, Method, NetworkMethod, RunOptions, SolverMethod
+from layerfield.methods import (
+    ChainMethod,
+    Method,
+    NetworkMethod,
+    RunOptions,
+    SolverMethod,
+    ToneMethod,
+)
 from layerfield.nearest import did_you_mean
 from layerfield.solve import Problem, Solution, State
 from layerfield.solvers.fourier_admm import FourierAdmm
@@ -54,6 +61,13 @@ _SOLVERS = (
     SolverMethod("sart", "algebraic reconstruction, view by view", 50, _ADDITIVE, lambda _: Sart()),
     SolverMethod(
         "sweeps", "accelerated least squares, layer by layer", 10, _ANY, lambda _: Sweeps()
+    ),
+    ToneMethod(
+        "tone",
+        "fourier-admm, then sweeps that judge encoded values, where a display has a transfer",
+        5,
+        _ANY,
+        lambda link: FourierAdmm() if link.is_sum else FourierStart(),
     ),
 )
 _NETWORKS = (

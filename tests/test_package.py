@@ -181,6 +181,23 @@ def test_every_command_of_the_page_on_networks_runs(tmp_path):
             read_recipe(recipe)
 
 
+def test_every_command_of_the_page_on_panels_runs(tmp_path):
+    page = (ROOT / "docs" / "panels.md").read_text("utf-8")
+    field = layerfield.procedural_light_field(size=(40, 48))
+    write_views(tmp_path / "my-views", field.views, Display.load("additive-3"), 8)
+    (toml,) = re.findall(r"```toml\n(.*?)```", page, flags=re.DOTALL)
+    (tmp_path / "my-prototype.toml").write_text(toml, "utf-8")
+    for command in commands_in(page):
+        done = subprocess.run(
+            [sys.executable, "-m", *command.split()],
+            cwd=tmp_path, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, f"{command}\n{done.stderr}"
+    written = {p.name for p in (tmp_path / "prototype").iterdir()}
+    assert written == {"panels", "layers", "display.toml", "result.json"}
+    assert (tmp_path / "seen" / "views").is_dir()
+
+
 def test_every_python_block_of_the_readme_runs(tmp_path, monkeypatch):
     readme = (ROOT / "README.md").read_text("utf-8")
     field = layerfield.procedural_light_field(size=(40, 48))

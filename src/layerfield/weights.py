@@ -103,12 +103,10 @@ class TrainedNetwork:
 def same_light_paths(one: Display, other: Display) -> bool:
     """Say whether displays have one link, transfer, view grid and shifts, whatever their names."""
     laws = [(d.link.name, d.transfer, d.geometry.grid) for d in (one, other)]
-    if laws[0] != laws[1]:
-        return False
     pair = [[c for view in d.geometry.shifts for s in view for c in s] for d in (one, other)]
-    return len(pair[0]) == len(pair[1]) and all(
-        math.isclose(a, b, abs_tol=_SAME_SHIFT) for a, b in zip(*pair, strict=True)
-    )
+    if laws[0] != laws[1] or len(pair[0]) != len(pair[1]):
+        return False
+    return all(math.isclose(a, b, abs_tol=_SAME_SHIFT) for a, b in zip(*pair, strict=True))
 
 
 def _described(display: Display) -> str:

@@ -67,3 +67,39 @@ def traced_view(layers, viewpoint, depths, pitch, margin, link: str, scales=None
                 )
             result[row, column] = composed(met, link)
     return result
+
+
+def sample_or_dark(panel: np.ndarray, y: float, x: float) -> float:
+    """Linear interpolation at any position; outside the panel there is no light."""
+    y0, x0 = math.floor(y), math.floor(x)
+    total = 0.0
+    for row, wy in ((y0, 1 - (y - y0)), (y0 + 1, y - y0)):
+        for column, wx in ((x0, 1 - (x - x0)), (x0 + 1, x - x0)):
+            if 0 <= row < panel.shape[0] and 0 <= column < panel.shape[1]:
+                total += wy * wx * panel[row, column]
+    return total
+
+
+def panel_view(panels, viewpoint, depths, pitch, size, link: str) -> np.ndarray:
+    """One view by tracing rays to panels that are moved, turned and flipped. Lengths in metres.
+
+    Panels are (light [y, x], pitch, offset, rotation, flip) with the rotation clockwise in radians
+    and flip as signs along x and y.
+    """
+    ex, ey, ez = viewpoint
+    height, width = size
+    result = np.empty(size)
+    for row in range(height):
+        for column in range(width):
+            x, y = (column - (width - 1) / 2) * pitch, (row - (height - 1) / 2) * pitch
+            met = []
+            for (light, own, offset, turn, flip), z in zip(panels, depths, strict=True):
+                t = z / ez
+                dx = x + (ex - x) * t - offset[0]
+                dy = y + (ey - y) * t - offset[1]
+                along = (dx * math.cos(turn) + dy * math.sin(turn)) * flip[0] / own
+                down = (dy * math.cos(turn) - dx * math.sin(turn)) * flip[1] / own
+                rows, columns = light.shape
+                met.append(sample_or_dark(light, down + (rows - 1) / 2, along + (columns - 1) / 2))
+            result[row, column] = composed(met, link)
+    return result

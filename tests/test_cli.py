@@ -593,7 +593,11 @@ def apart(name: str, old: str, new: str, words: str):
 LAYERS = "[1, 0, -1]"
 DISPLAYS = [
     case("display", [*SYNTH, "--display", "addtive-3"], "'addtive-3'|did you mean 'additive-3'"),
-    case("display far off", [*SYNTH, "--display", "hologram"], "known are additive-3, multi"),
+    case(
+        "display far off",
+        [*SYNTH, "--display", "hologram"],
+        "known are additive-3, desktop-lcd, multi",
+    ),
     case("nameless display", [*SYNTH, "--display", ""], "unknown display ''"),
     case("no such file", [*SYNTH, "--display", "no.toml"], "no.toml|No such file"),
     case("a folder", [*SYNTH, "--display", "views"], "unknown display 'views'"),

@@ -171,6 +171,9 @@ GOLDEN = {
     ("fourier-admm", "polarisation"): 33.39,
     ("gradient", "polarisation"): 31.18,
     ("sweeps", "polarisation"): 32.91,
+    ("tone", "additive"): 32.14,
+    ("tone", "multiplicative"): 34.59,
+    ("tone", "polarisation"): 33.46,
 }
 
 

@@ -21,7 +21,12 @@ from layerfield.solvers.sweeps import Sweeps, best_layer
 from layerfield.synthesizer import SOLVERS, pose
 
 NONLINEAR = ["multiplicative", "polarisation"]
-PAIRS = [(m.name, link) for m in SOLVERS.values() for link in m.links if link in NONLINEAR]
+PAIRS = [
+    (m.name, link)
+    for m in SOLVERS.values()
+    for link in m.links
+    if link in NONLINEAR and m.name != "tone"
+]
 
 
 def display(link: str = "multiplicative", subframes: int = 3, **more) -> Display:
@@ -109,6 +114,8 @@ def test_networks_and_sums_have_no_subframes(scene):
         synthesize(scene, display(subframes=2), method="unet")
     with pytest.raises(ValueError, match="a mean of sums is a sum"):
         display("additive")
+    with pytest.raises(ValueError, match="'tone' encodes what one subframe shows"):
+        synthesize(scene, display(), method="tone")
 
 
 def test_the_reference_has_them_too(scene):
@@ -135,7 +142,7 @@ def test_files_of_subframes_go_there_and_back(scene, tmp_path, monkeypatch):
     Path("out/layers/subframe_1/layer_2.png").unlink()
     done = run("simulate", "out", "--out", "again")
     assert done.status == 2
-    assert "found 2 layer images in out/layers/subframe_1, 3 in out/layers/subframe_0" in done.err
+    assert "found 2 pictures in out/layers/subframe_1, 3 in out/layers/subframe_0" in done.err
     done = run("simulate", "out/layers/subframe_0", "--display", "d.toml", "--out", "again")
     assert done.status == 2
     assert "found 1 subframes, display 'display' has 2" in done.err

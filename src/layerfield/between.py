@@ -134,11 +134,12 @@ def with_eyes(problem: Problem, display: Display, eyes: EyeViews) -> Problem:
     geometry = display.geometry
     shifts = tuple(geometry.shifts_toward(geometry.slope_at(eye)) for eye in eyes.positions)
     magnifications = (geometry.magnifications_from(geometry.distances[0]),) * len(shifts)
+    light = display.transfer.decode(eyes.views)
     return replace(
         problem,
         projection=project(
             geometry.shifts + shifts, geometry.magnifications + magnifications, display.margin
         ),
-        target=torch.cat([problem.target, eyes.views.to(problem.target)], dim=-4),
+        target=torch.cat([problem.target, light.to(problem.target)], dim=-4),
         weights=problem.weights + (eyes.weight,) * len(shifts),
     )

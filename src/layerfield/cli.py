@@ -42,6 +42,7 @@ from layerfield.io import (
     write_contact_sheet,
 )
 from layerfield.methods import CHAIN_ITERATIONS
+from layerfield.panel_images import panel_projection
 from layerfield.panels import largest_code
 from layerfield.process import run
 from layerfield.reference import cached_reference, reference
@@ -53,12 +54,16 @@ from layerfield.refusals import (
     refuse_unknown,
     told_apart,
 )
+from layerfield.remarks import made_for_another_transfer, values_taken_for_light
 from layerfield.result import (
     display_of,
     make_result,
     margin_of,
     mount,
     read_layers,
+    read_panels,
+    simulate_panels,
+    view_size_of,
     write_result,
     write_views,
     write_views_array,
@@ -166,6 +171,8 @@ def synth(
     with status(total=count or None) as tick:
         tick("reading")
         loaded = read_field(field, options, targets_between)
+        if target.panels:
+            panel_projection(target, loaded.size)
         loaded = replace(loaded, views=loaded.views.to(device))
         solution = synthesize(
             loaded,
@@ -189,6 +196,8 @@ def synth(
             options=recorded(options, targets_between),
         )
         write_result(out, result, simulate=simulate_views, force=force)
+    for remark in values_taken_for_light(loaded, target):
+        say(remark)
     report(out, loaded, result.facts)
 
 
@@ -213,15 +222,19 @@ def simulate_command(
     largest_code(bits)
     refuse_existing(out, force=force)
     keep_inputs(out, folder, own_file(display))
-    layers, shown_on = read_layers(folder), display_of(folder)
-    if display is not None:
-        shown_on = Display.load(display)
+    layers, made_for = read_layers(folder), display_of(folder)
+    shown_on = made_for if display is None else Display.load(display)
     if shown_on is None:
         raise ValueError(f"{folder} holds no display.toml; say which display with --display")
     eyes = [Eye.parse(text, shown_on) for text in eye or ()]
-    given = margin_of(folder) if margin is None else (margin, margin)
-    mounted = mount(layers, shown_on, shown_on.margin if given is None else given)
-    views = look(mounted, shown_on, eyes) if eyes else shown_on(mounted)
+    panels = read_panels(folder) if shown_on.panels and margin is None and not eyes else []
+    if panels:
+        views = simulate_panels(panels, shown_on, view_size_of(folder))
+    else:
+        given = margin_of(folder) if margin is None else (margin, margin)
+        mounted = mount(layers, shown_on, shown_on.margin if given is None else given)
+        light = look(mounted, shown_on, eyes) if eyes else shown_on(mounted)
+        views = shown_on.transfer.encode(light)
     with whole_directory(out, force=force) as temporary:
         if eyes:
             write_eyes(temporary / "views", views, bits)
@@ -231,6 +244,8 @@ def simulate_command(
             grid = (1, len(eyes)) if eyes else shown_on.geometry.grid or (1, len(views))
             write_views_array(temporary / "views.npy", views, grid)
         (temporary / "display.toml").write_text(format_spec(shown_on.spec), "utf-8")
+    for remark in made_for_another_transfer(made_for, shown_on):
+        say(remark)
     say(f"{len(views)} views are in {out / 'views'}")
 
 
@@ -287,6 +302,8 @@ def evaluate_command(
             from layerfield.report.eye_map import write_eye_map  # noqa: PLC0415  slow to import
 
             write_eye_map(picture, rows)
+    for remark in [note for f in loaded for d in models for note in values_taken_for_light(f, d)]:
+        say(remark)
     print_tables(rows)
 
 

@@ -7,10 +7,11 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from layerfield.composition import compose_view, compose_views
-from layerfield.display_spec import Spec, parse_spec, read_spec
+from layerfield.display_spec import PhysicalSpec, Spec, parse_spec, read_spec
 from layerfield.geometry import Point
 from layerfield.links import LINKS
 from layerfield.nearest import did_you_mean
+from layerfield.panel_spec import PanelSpec
 from layerfield.warped_projection import nearest, project, projection_of, reach
 
 _PRESETS = files("layerfield") / "displays"
@@ -21,6 +22,8 @@ class Display(nn.Module):
 
     L_i(x) = mean over subframes of link_k P_k(x + d_ik)
 
+    Layers and views are light here; `transfer` says what the values in their files stand for.
+
     Args:
         spec: the display as data; see `Display.load` for presets and files.
     """
@@ -30,6 +33,7 @@ class Display(nn.Module):
         self.spec = spec
         self.geometry = spec.geometry()
         self.link = LINKS[spec.link]
+        self.transfer = spec.transfer
         self.projection = projection_of(self.geometry)
 
     @classmethod
@@ -50,6 +54,11 @@ class Display(nn.Module):
     def name(self) -> str:
         """The name in tables and results."""
         return self.spec.name
+
+    @property
+    def panels(self) -> tuple[PanelSpec, ...]:
+        """What shows the layers, front to back; none if the display does not say."""
+        return self.spec.panels if isinstance(self.spec, PhysicalSpec) else ()
 
     @property
     def layer_count(self) -> int:

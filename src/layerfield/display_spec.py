@@ -4,16 +4,17 @@ import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from layerfield.geometry import Geometry, Point, grid_points
-from layerfield.toml_model import parse_toml, read_toml_text, validated
+from layerfield.panel_spec import PanelSpec
+from layerfield.toml_model import Number, parse_toml, read_toml_text, validated
+from layerfield.transfer import NONE, WrittenTransfer
 
 # Strict: no text or truth value passes for a number.
 Count = Annotated[int, Field(strict=True, ge=1)]
-Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Grid = tuple[Count, Count]
 Viewpoints = tuple[tuple[Number, Number], ...]
 PlacedViewpoints = tuple[tuple[Number, Number, Number], ...]
@@ -43,6 +44,7 @@ class _Spec(BaseModel):
     link: Literal["additive", "multiplicative", "polarisation"]
     views: Grid | None = None
     subframes: Annotated[int, Field(strict=True, ge=1, le=_MOST_SUBFRAMES)] = 1
+    transfer: WrittenTransfer = NONE
 
     @model_validator(mode="after")
     def _geometry_holds(self):
@@ -111,6 +113,7 @@ class PhysicalSpec(_Spec):
             vertical]; or else
         viewpoints_mm: (x, y) of every viewpoint on its plane, at a finite distance; or (x, y, z),
             where z, its own distance, is that from the display plane.
+        panels: what shows the layers, front to back; none if that does not matter yet.
     """
 
     depth_mm: Depths
@@ -118,6 +121,16 @@ class PhysicalSpec(_Spec):
     viewing_distance_mm: Annotated[float, Field(strict=True, gt=0)] | None = None
     viewing_angle_deg: Number | tuple[Number, Number] | None = None
     viewpoints_mm: Viewpoints | PlacedViewpoints | None = None
+    panels: tuple[PanelSpec, ...] = ()
+
+    @model_validator(mode="after")
+    def _panel_for_every_layer(self):
+        if self.panels and len(self.panels) != len(self.depth_mm):
+            raise ValueError(
+                f"found {len(self.panels)} panels for {len(self.depth_mm)} layers; write one "
+                "[[panels]] table for each number of 'depth_mm', front to back"
+            )
+        return self
 
     def geometry(self) -> Geometry:
         if self.views is not None and self.viewing_angle_deg is None:
@@ -219,8 +232,13 @@ def _one_of(
     return listed if grid is None else grid_points(grid, step)  # pyright: ignore[reportReturnType]
 
 
-def parse_spec(text: str, source: str) -> Spec:
+def parse_spec(text: str, source: str, folder: Path | None = None) -> Spec:
     """Parse the TOML text of a display.
+
+    Args:
+        text: of the file.
+        source: what an error calls it.
+        folder: where the files that it names are; the working folder if not given.
 
     Raises:
         ValueError: not TOML, an unknown or missing key, or values that make no display; one line
@@ -228,18 +246,23 @@ def parse_spec(text: str, source: str) -> Spec:
     """
     data = parse_toml(text, source)
     model = PhysicalSpec if any(key in data for key in _PHYSICAL_KEYS) else DisparitySpec
-    return validated(model, data, source)
+    return validated(model, data, source, folder)
 
 
 def format_spec(spec: Spec) -> str:
     """Return the TOML text from which `parse_spec` makes the same display."""
     data = spec.model_dump(mode="python", exclude_none=True, exclude_defaults=True)
+    panels = data.pop("panels", ())
+    return _lines(data) + "".join(f"\n[[panels]]\n{_lines(panel)}" for panel in panels)
+
+
+def _lines(data: dict[str, Any]) -> str:
     return "".join(f"{key} = {_toml(value)}\n" for key, value in data.items())
 
 
 def read_spec(path: Path) -> Spec:
     """Read a display from a TOML file."""
-    return parse_spec(read_toml_text(path, "a display"), str(path))
+    return parse_spec(read_toml_text(path, "a display"), str(path), path.parent)
 
 
 _PHYSICAL_KEYS = set(PhysicalSpec.model_fields) - set(DisparitySpec.model_fields)
@@ -248,6 +271,8 @@ _PHYSICAL_KEYS = set(PhysicalSpec.model_fields) - set(DisparitySpec.model_fields
 def _toml(value: object) -> str:
     if isinstance(value, tuple):
         return "[" + ", ".join(map(_toml, value)) + "]"
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {_toml(each)}" for key, each in value.items()) + " }"
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     return repr(value)  # numbers: repr is exact, and inf is TOML

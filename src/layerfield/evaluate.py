@@ -42,7 +42,8 @@ class Figures:
     """What layers show, judged from their quantised panel images.
 
     Args:
-        psnr: whole image, all views together, dB.
+        psnr: whole image, all views together, dB; as the next five on the values of the files.
+        psnr_linear: the same in light; another figure where the display has a transfer.
         psnr_interior: the same without a border.
         ssim: mean over views, clipped to 0..1.
         psnr_view_min: of the worst view, dB.
@@ -52,6 +53,7 @@ class Figures:
     """
 
     psnr: float
+    psnr_linear: float
     psnr_interior: float
     ssim: float
     psnr_view_min: float
@@ -61,11 +63,13 @@ class Figures:
 
 
 def figures(layers: Tensor, field: LightField, display: Display) -> Figures:
-    """Return the figures of quality of layers, 0 to 1."""
-    views = display(layers)
+    """Return the figures of quality of layers, light from 0 to 1."""
+    light = display(layers)
+    views = display.transfer.encode(light)
     by_view = psnr_by_view(views, field.views)
     return Figures(
         psnr=psnr(views, field.views),
+        psnr_linear=psnr(light, display.transfer.decode(field.views)),
         psnr_interior=psnr(interior(views, display.margin), interior(field.views, display.margin)),
         ssim=ssim(views, field.views),
         psnr_view_min=min(by_view),
@@ -85,7 +89,7 @@ def _spread(decibels: Sequence[float]) -> float:
 
 @dataclass(frozen=True)
 class Row:
-    """One method on one light field and display."""
+    """One method on one light field and display; mean square errors are those of light."""
 
     field: str
     display: str
@@ -212,7 +216,7 @@ def _compare(
         job = _Job(field, display.spec, name, iterations, bits, own_process=isolate)
         row, codes = in_own_process(_measure, job) if isolate else _measure(job)
         if around is not None:
-            layers = dequantise(torch.from_numpy(codes))
+            layers = dequantise(torch.from_numpy(codes), display.transfer)
             row = replace(row, eyes=judge_eyes(layers, display, around))
         rows.append(row)
     if tick is not None:
@@ -241,8 +245,9 @@ def _measure(job: _Job) -> tuple[Row, np.ndarray]:
         _warm_up(field, display, job)
     solution = synthesize(field, display, method=job.method, iterations=job.iterations)
     peak = peak_megabytes() if job.own_process else None
-    codes = panel_codes(pose(field, display), solution.layers, bits=job.bits)
-    layers = dequantise(codes)
+    transfer, solved = display.transfer, solution.problem or pose(field, display)
+    codes = panel_codes(solved, solution.layers, bits=job.bits, transfer=transfer)
+    layers = dequantise(codes, transfer)
     row = Row(
         field=field.name,
         display=display.name,
@@ -251,7 +256,7 @@ def _measure(job: _Job) -> tuple[Row, np.ndarray]:
         seconds=solution.seconds,
         peak_mb=peak,
         bits=job.bits,
-        mean_square_error=mean_square_error(display(layers), field.views),
+        mean_square_error=mean_square_error(display(layers), transfer.decode(field.views)),
         figures=figures(layers, field, display),
         made_with=provenance(field.views.device),
         details=dict(solution.details) | _targets(field),
@@ -292,15 +297,23 @@ def _title(row: Row) -> str:
     if found is None:
         return title
     bound = "" if found.gap_db is None else f", certified to {found.gap_db:.3f} dB"
-    return f"{title}: {found.kind} {found.psnr:.2f} dB ({found.method}{bound})"
+    light = " in linear light" if _differ(row) else ""
+    return f"{title}: {found.kind} {found.psnr:.2f} dB{light} ({found.method}{bound})"
+
+
+def _differ(row: Row) -> bool:
+    """Say whether figures of encoded values are others than those of light."""
+    return row.figures.psnr != row.figures.psnr_linear
 
 
 def _lines(rows: Sequence[Row]) -> list[list[str]]:
     isolated = all(row.peak_mb is not None for row in rows)
+    both = any(map(_differ, rows))
     between = any(row.eyes and row.eyes.psnr_between for row in rows)
     heading = [
         "method",
         "PSNR dB",
+        *["linear"] * both,
         *["between"] * between,
         "interior",
         "excess",
@@ -316,6 +329,7 @@ def _lines(rows: Sequence[Row]) -> list[list[str]]:
             [
                 row.label,
                 f"{found.psnr:.2f}",
+                *[f"{found.psnr_linear:.2f}"] * both,
                 *[_between(row)] * between,
                 f"{found.psnr_interior:.2f}",
                 f"{excess(reached, row.reference.mean_square_error):.1%}" if row.reference else "",

@@ -105,13 +105,14 @@ def judge_eyes(
     """Compare what eyes see of layers with what they should see.
 
     Args:
-        layers: 0 to 1, with the margin of the display.
+        layers: light, 0 to 1, with the margin of the display.
         display: one with a view grid.
         around: what eyes in and around that grid should see.
     """
     errors = {}
     for position, view in zip(around.positions, around.views, strict=True):
-        seen = display.look(layers, display.geometry.slope_at(position))
+        light = display.look(layers, display.geometry.slope_at(position))
+        seen = display.transfer.encode(light)
         errors[position] = mean_square_error(seen, view)
     between = [errors[eye] for eye in positions_between(around.positions, display.geometry.grid)]
     pooled = sum(between) / len(between) if between else 0.0

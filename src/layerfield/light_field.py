@@ -53,6 +53,7 @@ class LightField:
         name: what tables and reports call it.
         notes: what a reader had to do that its user may want to know, one sentence each.
         between: what eyes between the viewpoints see, if layers are made for them, too.
+        bits: of the whole numbers that the views were stored as; None if those were floats.
 
     Raises:
         ValueError: the number of views is not rows times columns.
@@ -63,6 +64,7 @@ class LightField:
     name: str = "light field"
     notes: tuple[str, ...] = ()
     between: EyeViews | None = None
+    bits: int | None = None
 
     def __post_init__(self) -> None:
         rows, columns = self.grid

@@ -17,6 +17,8 @@ from layerfield.links import LINKS, Link
 from layerfield.networks import Network
 from layerfield.networks.frame import tiled_pixels
 from layerfield.solve import Clock, Problem, Solution, Solver, State, solve
+from layerfield.solvers.sweeps import Sweeps
+from layerfield.tone import on_values
 from layerfield.weights import (
     Entry,
     TrainedNetwork,
@@ -26,6 +28,7 @@ from layerfield.weights import (
 )
 
 CHAIN_ITERATIONS = 3  # of a solver behind a network
+_BEFORE_TONE = 10  # of the solver in light
 
 
 @dataclass(frozen=True)
@@ -140,6 +143,31 @@ class SolverMethod(Method):
             callback=options.callback,
             history=options.history,
         )
+
+
+@dataclass(frozen=True)
+class ToneMethod(SolverMethod):
+    """A solver in light, then sweeps whose errors are those of encoded values; see `tone`."""
+
+    def refuse_unserved(self, display: Display) -> None:
+        super().refuse_unserved(display)
+        if display.subframes > 1:
+            raise ValueError(
+                f"method '{self.name}' encodes what one subframe shows, '{display.name}' has "
+                f"{display.subframes}, whose light is seen together; take fourier-admm"
+            )
+
+    def run(self, problem: Problem, display: Display, options: RunOptions) -> Solution:
+        start = options.init
+        if start is None:
+            start = solve(problem, self.make(display.link), iterations=_BEFORE_TONE)
+        spent = start.seconds if isinstance(start, Solution) and options.init is None else 0.0
+        values = on_values(problem, display.transfer)
+        later = replace(options, init=start, time_limit=options.time_limit - spent)
+        sweeps = SolverMethod(self.name, self.summary, 0, self.links, lambda _: Sweeps())
+        end = sweeps.run(values, display, later)
+        history = tuple(p._replace(seconds=p.seconds + spent) for p in end.history)
+        return replace(end, seconds=end.seconds + spent, history=history, problem=values)
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,12 @@
 """What hardware gets: layers as whole numbers of a panel's bit depth."""
 
+from dataclasses import dataclass
+
 import torch
 from jaxtyping import Float, UInt
 from torch import Tensor
+
+from layerfield.transfer import NONE, Transfer
 
 _DTYPES = {8: torch.uint8, 16: torch.uint16}
 
@@ -19,14 +23,37 @@ def largest_code(bits: int) -> int:
 
 
 def quantise(
-    layers: Float[Tensor, "*batch layer c y x"], bits: int
-) -> UInt[Tensor, "*batch layer c y x"]:
-    """Round layers, 0 to 1, to the nearest codes of a panel."""
-    codes = (layers * largest_code(bits)).round().clamp(0, largest_code(bits))
+    layers: Float[Tensor, "*batch c y x"], bits: int, transfer: Transfer = NONE
+) -> UInt[Tensor, "*batch c y x"]:
+    """Round layers, light from 0 to 1, to the nearest codes of a panel."""
+    codes = (transfer.encode(layers) * largest_code(bits)).round().clamp(0, largest_code(bits))
     return codes.to(_DTYPES[bits])
 
 
-def dequantise(codes: UInt[Tensor, "*batch layer c y x"]) -> Float[Tensor, "*batch layer c y x"]:
-    """Return the layers, 0 to 1, that codes stand for."""
+def dequantise(
+    codes: UInt[Tensor, "*batch c y x"], transfer: Transfer = NONE
+) -> Float[Tensor, "*batch c y x"]:
+    """Return the layers, light from 0 to 1, that codes stand for."""
     bits = {dtype: bits for bits, dtype in _DTYPES.items()}[codes.dtype]
-    return codes.to(torch.float32) / largest_code(bits)
+    return transfer.decode(codes.to(torch.float32) / largest_code(bits))
+
+
+@dataclass(frozen=True)
+class Response:
+    """What the codes of one panel make of light.
+
+    Args:
+        bits: 8 or 16.
+        transfer: from codes, as values from 0 to 1, to light.
+    """
+
+    bits: int
+    transfer: Transfer = NONE
+
+    def codes(self, light: Tensor) -> Tensor:
+        """Return the nearest codes of light from 0 to 1."""
+        return quantise(light, self.bits, self.transfer)
+
+    def light(self, codes: Tensor) -> Tensor:
+        """Return the light of codes."""
+        return dequantise(codes, self.transfer)

@@ -1,7 +1,9 @@
 """What synthesis leaves behind: a folder with layers, the display, and the facts.
 
-OUT/layers/layer_0.png ...   codes of the panels, layer 0 nearest to the viewer, margin included;
-                             OUT/layers/subframe_0/layer_0.png ... if there are several subframes
+OUT/layers/layer_0.png ...   codes of the layers, encoded as the views are; layer 0 nearest to the
+                             viewer, margin included; OUT/layers/subframe_0/layer_0.png ... if there
+                             are several subframes
+OUT/panels/panel_0.png ...   codes of the panels, if the display has any, in the same order
 OUT/display.toml             the display they are for
 OUT/result.json              method, figures, margin, versions
 OUT/views/view_RR_CC.png     what viewers see, if asked for
@@ -11,6 +13,7 @@ import dataclasses
 import json
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -26,7 +29,8 @@ from layerfield.evaluate import Figures, figures
 from layerfield.io import read_image, whole_directory, write_png
 from layerfield.io.images import SUFFIXES
 from layerfield.light_field import LightField
-from layerfield.metrics import excess, mean_square_error
+from layerfield.metrics import excess, mean_square_error, psnr
+from layerfield.panel_images import PanelImages, panel_images, views_through_panels
 from layerfield.panels import dequantise, quantise
 from layerfield.provenance import provenance
 from layerfield.reference import Reference
@@ -37,17 +41,19 @@ from layerfield.synthesizer import pose
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """Layers as codes of the panels, and the facts about them.
+    """Layers and panels as codes, and the facts about them.
 
     Args:
-        codes: what is written, front to back.
+        codes: the layers that are written, front to back.
         display: what they are for.
         facts: everything that `result.json` holds.
+        panels: the pictures of the panels, if the display has any.
     """
 
     codes: UInt[Tensor, "subframe layer c ly lx"]
     display: Display
     facts: dict[str, Any]
+    panels: tuple[UInt[Tensor, "subframe c _ _"], ...] = ()
 
 
 def make_result(
@@ -74,9 +80,13 @@ def make_result(
         options: how the light field was read, to be recorded.
     """
     problem = pose(field, display)
-    codes = panel_codes(problem, solution.layers, bits=bits, rounding=rounding)
-    layers = dequantise(codes)
-    error = mean_square_error(display(layers), field.views)
+    solved = solution.problem or problem
+    codes = panel_codes(
+        solved, solution.layers, bits=bits, rounding=rounding, transfer=display.transfer
+    )
+    layers = dequantise(codes, display.transfer)
+    error = mean_square_error(display(layers), display.transfer.decode(field.views))
+    panels = panel_images(solved, solution.layers, display) if display.panels else None
     facts = {
         "method": method,
         "solver": _hyper_parameters(solution),
@@ -97,7 +107,20 @@ def make_result(
         "reference": reference and asdict(reference) | {"psnr": _finite(reference.psnr)},
         "excess": reference and _finite(excess(error, reference.mean_square_error)),
     }
-    return Result(codes, display, facts)
+    if panels is None:
+        return Result(codes, display, facts)
+    facts["panels"] = _panel_figures(panels, field, display)
+    return Result(codes, display, facts, panels.codes)
+
+
+def _panel_figures(panels: PanelImages, field: LightField, display: Display) -> dict[str, Any]:
+    values = [dequantise(codes) for codes in panels.codes]
+    light = views_through_panels(values, display, field.size)
+    found = {
+        "psnr": psnr(display.transfer.encode(light), field.views),
+        "psnr_linear": psnr(light, display.transfer.decode(field.views)),
+    }
+    return {key: _finite(value) for key, value in found.items()} | {"missed": panels.missed}
 
 
 def write_result(
@@ -115,21 +138,33 @@ def write_result(
         ValueError: the folder exists, or it cannot be written.
     """
     with whole_directory(folder, force=force) as temporary:
-        _write_layers(temporary / "layers", result.codes)
+        _write_pictures(temporary / "layers", "layer", result.codes.unbind(dim=1))
+        if result.panels:
+            _write_pictures(temporary / "panels", "panel", result.panels)
         (temporary / "display.toml").write_text(format_spec(result.display.spec), "utf-8")
         (temporary / "result.json").write_text(json.dumps(result.facts, indent=2), "utf-8")
         if simulate:
-            views = result.display(dequantise(result.codes))
+            views = _views_of(result)
             write_views(temporary / "views", views, result.display, result.facts["bits"])
 
 
-def _write_layers(folder: Path, codes: UInt[Tensor, "subframe layer c ly lx"]) -> None:
+def _write_pictures(
+    folder: Path, name: str, pictures: Sequence[UInt[Tensor, "subframe c _ _"]]
+) -> None:
     folder.mkdir()
-    for s, layers in enumerate(codes):
-        place = folder / f"subframe_{s}" if len(codes) > 1 else folder
-        place.mkdir(exist_ok=True)
-        for k, layer in enumerate(layers):
-            write_png(place / f"layer_{k}.png", layer.cpu())
+    for k, subframes in enumerate(pictures):
+        for s, codes in enumerate(subframes):
+            place = folder / f"subframe_{s}" if len(subframes) > 1 else folder
+            place.mkdir(exist_ok=True)
+            write_png(place / f"{name}_{k}.png", codes.cpu())
+
+
+def _views_of(result: Result) -> Float[Tensor, "view c y x"]:
+    """Return what viewers see: of the panels, or of the layers where there are none."""
+    if not result.panels:
+        return simulate(dequantise(result.codes), result.display, result.display.margin)
+    pictures = [dequantise(codes) for codes in result.panels]
+    return simulate_panels(pictures, result.display, result.facts["field"]["size"])
 
 
 def write_views(
@@ -151,7 +186,7 @@ def write_views_array(
 
 
 def read_layers(folder: str | Path) -> Float[Tensor, "subframe layer c ly lx"]:
-    """Read layer images, 0 to 1, from a result of `synth` or from a plain folder of images.
+    """Read layer images, values from 0 to 1, of a result of `synth` or a plain folder of images.
 
     Images are taken in the order of the numbers in their names, the nearest to the viewer first.
     Folders named `subframe_0`, `subframe_1` ... hold the layers of one subframe each.
@@ -163,18 +198,11 @@ def read_layers(folder: str | Path) -> Float[Tensor, "subframe layer c ly lx"]:
     if not folder.is_dir():
         raise ValueError(f"there is no folder {folder}; expected a result of synth or layer images")
     inner = folder / "layers"
-    places = _subframe_folders(inner if inner.is_dir() else folder)
-    subframes = [_layer_files(place) for place in places]
-    for place, images in zip(places, subframes, strict=True):
-        if not images:
-            raise ValueError(
-                f"found no layer images in {place}; expected layer_0.png, layer_1.png ..."
-            )
-        if len(images) != len(subframes[0]):
-            raise ValueError(
-                f"found {len(images)} layer images in {place}, {len(subframes[0])} in "
-                f"{places[0]}; all subframes must have the same layers"
-            )
+    subframes = _pictures_in(inner if inner.is_dir() else folder)
+    if not subframes[0]:
+        raise ValueError(
+            f"found no layer images in {folder}; expected layer_0.png, layer_1.png ..."
+        )
     images = [image for images in subframes for image in images]
     layers = [torch.from_numpy(read_image(image)) for image in images]
     for image, layer in zip(images, layers, strict=True):
@@ -183,7 +211,45 @@ def read_layers(folder: str | Path) -> Float[Tensor, "subframe layer c ly lx"]:
                 f"{image.name} is {_size(layer)}, {images[0].name} is {_size(layers[0])}; "
                 "all layers must have one size and one kind"
             )
-    return torch.stack(layers).unflatten(0, (len(places), -1))
+    return torch.stack(layers).unflatten(0, (len(subframes), -1))
+
+
+def read_panels(folder: str | Path) -> list[Float[Tensor, "subframe c _ _"]]:
+    """Read the pictures of panels, values from 0 to 1, of a result of `synth`; none if it has none.
+
+    Raises:
+        ValueError: pictures in colour beside grey ones, or subframes that differ in size.
+    """
+    inner = Path(folder) / "panels"
+    panels = []
+    for files in zip(*(_pictures_in(inner) if inner.is_dir() else []), strict=True):
+        pictures = [torch.from_numpy(read_image(file)) for file in files]
+        first = panels[0][0] if panels else pictures[0]
+        for file, picture in zip(files, pictures, strict=True):
+            if picture.shape != pictures[0].shape or picture.shape[0] != first.shape[0]:
+                raise ValueError(
+                    f"{file.name} is {_size(picture)}, others are {_size(first)}; panels have one "
+                    "size in all subframes, and are all grey or all in colour"
+                )
+        panels.append(torch.stack(pictures))
+    return panels
+
+
+def view_size_of(folder: str | Path) -> tuple[int, int]:
+    """Return the height and width of the views that a result of `synth` was made for.
+
+    Raises:
+        ValueError: no result.json, or one that does not say.
+    """
+    path = Path(folder) / "result.json"
+    try:
+        size = json.loads(path.read_text("utf-8"))["field"]["size"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        size = None
+    match size:
+        case [int(height), int(width)] if height > 0 and width > 0:
+            return height, width
+    raise ValueError(f"{path} holds no size of the views; make the result anew")
 
 
 def display_of(folder: str | Path) -> Display | None:
@@ -214,17 +280,17 @@ def margin_of(folder: str | Path) -> tuple[int, int] | None:
 def simulate(
     layers: Float[Tensor, "subframe layer c ly lx"], display: Display, margin: tuple[int, int]
 ) -> Float[Tensor, "view c y x"]:
-    """Return the unclipped views that layers show; see `mount` for the arguments and errors."""
-    return display(mount(layers, display, margin))
+    """Return the unclipped views that layers show, encoded as those in files are; see `mount`."""
+    return display.transfer.encode(display(mount(layers, display, margin)))
 
 
 def mount(
     layers: Float[Tensor, "subframe layer c ly lx"], display: Display, margin: tuple[int, int]
 ) -> Float[Tensor, "subframe layer c ly2 lx2"]:
-    """Return layers with the margin of a display.
+    """Return the light of layers, with the margin of a display.
 
     Args:
-        layers: values, 0 to 1, front to back.
+        layers: encoded values, 0 to 1, front to back.
         display: what shows them.
         margin: pixels (y, x) by which they exceed the views on each side. Light paths that leave
             the layers go on unchanged: nothing is added, or multiplied.
@@ -245,20 +311,50 @@ def mount(
             f"layers of {_size(layers)} with a margin of {margin[1]}x{margin[0]} px show no views; "
             "give a smaller --margin, 0 or more"
         )
-    return display.surround(layers, display.margin, margin)
+    return display.surround(display.transfer.decode(layers), display.margin, margin)
 
 
-def _subframe_folders(folder: Path) -> list[Path]:
-    """Return the folders of the subframes in order; the folder itself if there is but one."""
-    found = [p for p in folder.glob("subframe_*") if p.is_dir()]
-    return sorted(found, key=_numbers) or [folder]
+def simulate_panels(
+    pictures: Sequence[Float[Tensor, "subframe c _ _"]],
+    display: Display,
+    view_size: tuple[int, int],
+) -> Float[Tensor, "view c y x"]:
+    """Return the unclipped views that the pictures of panels show, encoded as those in files are.
+
+    Args:
+        pictures: values, 0 to 1, front to back.
+        display: with panels.
+        view_size: height and width of the views.
+
+    Raises:
+        ValueError: not as many pictures as panels, of another size, or smaller than the views.
+    """
+    return display.transfer.encode(views_through_panels(pictures, display, view_size))
+
+
+def _pictures_in(folder: Path) -> list[list[Path]]:
+    """Return the pictures of every subframe, front to back.
+
+    Raises:
+        ValueError: not as many in one subframe as in another.
+    """
+    places = [p for p in folder.glob("subframe_*") if p.is_dir()]
+    places = sorted(places, key=_numbers) or [folder]
+    found = [_numbered(place) for place in places]
+    for place, pictures in zip(places, found, strict=True):
+        if len(pictures) != len(found[0]):
+            raise ValueError(
+                f"found {len(pictures)} pictures in {place}, {len(found[0])} in {places[0]}; all "
+                "subframes must have the same"
+            )
+    return found
 
 
 def _numbers(path: Path) -> tuple[list[int], str]:
     return [int(n) for n in re.findall(r"\d+", path.stem)], path.name
 
 
-def _layer_files(folder: Path) -> list[Path]:
+def _numbered(folder: Path) -> list[Path]:
     images = [
         p
         for p in folder.iterdir()

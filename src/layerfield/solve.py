@@ -32,7 +32,7 @@ class Problem:
     Args:
         projection: A, from layers to views.
         link: what combines the layers.
-        target: L, the views to be shown.
+        target: L, the views to be shown, as light.
         weights: w, one for every view.
         bounds: the range of layer pixels.
         subframes: whose mean is seen.
@@ -49,7 +49,7 @@ class Problem:
     def of(
         cls, display: Display, target: Tensor, weights: Sequence[float] | None = None
     ) -> "Problem":
-        """Pose the problem of showing views on a display.
+        """Pose the problem of showing views, as encoded in their files, on a display: in light.
 
         Raises:
             ValueError: not as many views or weights as viewpoints, or a negative weight.
@@ -62,7 +62,8 @@ class Problem:
         chosen = tuple(float(w) for w in weights) if weights is not None else (1.0,) * count
         if len(chosen) != count or min(chosen) < 0 or not 0 < sum(chosen) < math.inf:
             raise ValueError(f"expected {count} view weights, at least 0 and not all 0")
-        return cls(display.projection, display.link, target, chosen, subframes=display.subframes)
+        light = display.transfer.decode(target)
+        return cls(display.projection, display.link, light, chosen, subframes=display.subframes)
 
     def in_sum_domain(self) -> "Problem":
         """Return the problem in the domain where the link is a sum (logarithms for a product)."""
@@ -188,7 +189,7 @@ class Solution:
     """Layers and how they came about.
 
     Args:
-        layers: pixels, 0 to 1; layer 0 nearest to the viewer, with the margin of the display.
+        layers: light, 0 to 1; layer 0 nearest to the viewer, with the margin of the display.
         iterations: how many were made.
         seconds: spent in `init` and `step`.
         status: why it ended, a sentence.
@@ -196,6 +197,7 @@ class Solution:
         solver: what made it, and
         state: its last state, for a warm start.
         details: what else is worth recording, by name: plain numbers and texts.
+        problem: what rounding has to go on with, if that is not the display's own problem.
     """
 
     layers: Float[Tensor, "*batch subframe layer c ly lx"]
@@ -206,6 +208,7 @@ class Solution:
     solver: Solver | None = None
     state: State = field(default=None, repr=False)
     details: Mapping[str, float | str] = field(default_factory=dict)
+    problem: Problem | None = field(default=None, repr=False)
 
 
 def solve(

@@ -16,7 +16,14 @@ from layerfield.between import with_eyes
 from layerfield.display import Display
 from layerfield.light_field import LightField
 from layerfield.links import LINKS
-from layerfield.methods import ChainMethod, Method, NetworkMethod, RunOptions, SolverMethod
+from layerfield.methods import (
+    ChainMethod,
+    Method,
+    NetworkMethod,
+    RunOptions,
+    SolverMethod,
+    ToneMethod,
+)
 from layerfield.nearest import did_you_mean
 from layerfield.solve import Problem, Solution, Solver, State
 from layerfield.solvers.fourier_admm import FourierAdmm
@@ -67,6 +74,13 @@ _SOLVERS = (
     ),
     _any_distance("sart", "algebraic reconstruction, view by view", 50, _ADDITIVE, Sart()),
     _any_distance("sweeps", "accelerated least squares, layer by layer", 10, _ANY, Sweeps()),
+    ToneMethod(
+        "tone",
+        "fourier-admm, then sweeps that judge encoded values, where a display has a transfer",
+        5,
+        _ANY,
+        lambda link: FourierAdmm() if link.is_sum else FourierStart(),
+    ),
 )
 _NETWORKS = (
     NetworkMethod.shipped("stacked-cnn", "trained stack of convolutions; see `weights`"),

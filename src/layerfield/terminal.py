@@ -49,16 +49,29 @@ def report(out: Path, field: LightField, facts: dict[str, Any]) -> None:
     """Say what synthesis reached, beside the reference if there is one."""
     for note in field.notes:
         say(f"note: {note}")
+    light = facts["psnr_linear"] != facts["psnr"]
     compared = "; add --reference to see how near that is to the best"
     if facts["reference"] is not None:
         known = facts["reference"]
         excess = "" if facts["excess"] is None else f", excess {facts['excess']:.1%}"
-        compared = f"; {known['kind']} {_decibels(known['psnr'])}{excess}"
+        where = " in linear light" if light else ""
+        compared = f"; {known['kind']} {_decibels(known['psnr'])}{where}{excess}"
+    linear = f", linear light {_decibels(facts['psnr_linear'])}" if light else ""
     say(
         f"{facts['method']} on {facts['display']}: {_decibels(facts['psnr'])} (interior "
-        f"{_decibels(facts['psnr_interior'])}) after {_effort(facts)}{compared}"
+        f"{_decibels(facts['psnr_interior'])}{linear}) after {_effort(facts)}{compared}"
     )
     say(f"{len(facts['layers'])} layers, {facts['bits']} bit, are in {out / 'layers'}")
+    if "panels" in facts:
+        _report_panels(out, facts["panels"])
+
+
+def _report_panels(out: Path, found: dict[str, Any]) -> None:
+    differ = found["psnr_linear"] != found["psnr"]
+    linear = f" (linear light {_decibels(found['psnr_linear'])})" if differ else ""
+    missed = max(found["missed"])
+    dark = f"; up to {missed:.1%} of the light paths miss one and are dark" if missed else ""
+    say(f"panels: {_decibels(found['psnr'])}{linear}, pictures in {out / 'panels'}{dark}")
 
 
 def _effort(facts: dict[str, Any]) -> str:

@@ -27,6 +27,7 @@ from layerfield.display_spec import parse_spec
 from layerfield.io.safe_output import whole_file
 from layerfield.nearest import did_you_mean
 from layerfield.networks import NETWORKS, Network
+from layerfield.transfer import NONE, named
 
 TRAINED = Path(__file__).parent / "trained"  # weights that come with the package
 WEIGHT_SUFFIX = ".safetensors"
@@ -82,7 +83,7 @@ class TrainedNetwork:
         """Refuse a display that the network was not trained for.
 
         Raises:
-            ValueError: another link, view grid or shifts; names both view grids.
+            ValueError: another link, transfer, view grid or shifts; names both view grids.
         """
         if not same_light_paths(self.display, display):
             raise ValueError(
@@ -100,24 +101,22 @@ class TrainedNetwork:
 
 
 def same_light_paths(one: Display, other: Display) -> bool:
-    """Say whether displays have the same link, subframes, view grid and shifts, not only names."""
-    kinds = [(d.link.name, d.subframes, d.geometry.grid) for d in (one, other)]
-    if kinds[0] != kinds[1]:
-        return False
+    """Say whether displays have the same laws, view grid and shifts, whatever their names."""
+    laws = [(d.link.name, d.subframes, d.transfer, d.geometry.grid) for d in (one, other)]
     pair = [[c for view in d.geometry.shifts for s in view for c in s] for d in (one, other)]
-    return len(pair[0]) == len(pair[1]) and all(
-        math.isclose(a, b, abs_tol=_SAME_SHIFT) for a, b in zip(*pair, strict=True)
-    )
+    if laws[0] != laws[1] or len(pair[0]) != len(pair[1]):
+        return False
+    return all(math.isclose(a, b, abs_tol=_SAME_SHIFT) for a, b in zip(*pair, strict=True))
 
 
 def _described(display: Display) -> str:
     grid = display.geometry.grid
     views = f"{grid[0]}x{grid[1]} views" if grid else f"{display.view_count} listed views"
     reach = max(abs(c) for view in display.geometry.shifts for shift in view for c in shift)
-    layers = f"{display.layer_count} layers"
-    if display.subframes > 1:
-        layers = f"{display.subframes} subframes of {layers}"
-    return f"{display.link.name}, {views}, {layers}, shifts to {reach:g} px"
+    law = "" if display.transfer == NONE else f", transfer {named(display.transfer)}"
+    times = f"{display.subframes} subframes of " if display.subframes > 1 else ""
+    layers = f"{times}{display.layer_count} layers, shifts to {reach:g} px"
+    return f"{display.link.name}, {views}, {layers}{law}"
 
 
 # ------------------------------------------------------------------------------------ weight files

@@ -37,7 +37,11 @@ def load_light_field(path: str | Path, options: FieldOptions = _DEFAULTS) -> Lig
     reframe = plan_reframing(grid, _pixels(first), options)
     views, notes = _decode(stored, chosen, reframe, (chosen[0], first))
     return LightField(
-        views, grid, name=field_name(path), notes=tuple(dict.fromkeys(stored.notes + notes))
+        views,
+        grid,
+        name=field_name(path),
+        notes=tuple(dict.fromkeys(stored.notes + notes)),
+        bits=8 * first.pixels.itemsize if first.pixels.dtype.kind == "u" else None,
     )
 
 

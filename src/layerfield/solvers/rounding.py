@@ -6,12 +6,13 @@ from jaxtyping import Float, UInt
 from torch import Tensor
 
 from layerfield.nearest import did_you_mean
-from layerfield.panels import dequantise, quantise
+from layerfield.panels import Response, quantise
 from layerfield.solve import Problem, solve
 from layerfield.solvers.sweeps import best_layer
+from layerfield.transfer import NONE, Transfer
 
 ROUNDINGS = ("joint", "nearest")
-_ROUNDING_SWEEPS = 2
+ROUNDING_SWEEPS = 2
 
 
 @dataclass(frozen=True)
@@ -22,19 +23,19 @@ class JointRounding:
     no two pixels of one layer meet, so this is the best choice of codes for that layer.
 
     Args:
-        bits: of the panels, 8 or 16.
+        responses: the codes of every layer's panel, front to back.
     """
 
-    bits: int
+    responses: tuple[Response, ...]
 
     def init(self, problem: Problem, start: Tensor | None) -> Tensor:
         return problem.flat_start() if start is None else start.clone()
 
     def step(self, problem: Problem, state: Tensor) -> Tensor:
         layers = state.clone()
-        for k in range(problem.layer_count):
+        for k, response in enumerate(self.responses):
             best = best_layer(problem, layers, k)
-            layers[..., k, :, :, :] = dequantise(quantise(best, self.bits))
+            layers[..., k, :, :, :] = response.light(response.codes(best))
         return layers
 
     def layers(
@@ -49,15 +50,17 @@ def panel_codes(
     *,
     bits: int,
     rounding: str = "joint",
+    transfer: Transfer = NONE,
 ) -> UInt[Tensor, "*batch subframe layer c ly lx"]:
     """Return layers as codes of a panel.
 
     Args:
         problem: what the layers show.
-        layers: values, 0 to 1.
+        layers: light, 0 to 1.
         bits: 8 or 16.
         rounding: "joint": layers together, against the views; at 16 bits, where rounding costs
             nothing, it is "nearest" all the same: each pixel by itself.
+        transfer: what light the codes make.
 
     Raises:
         ValueError: another number of bits or kind of rounding.
@@ -65,6 +68,6 @@ def panel_codes(
     if rounding not in ROUNDINGS:
         raise ValueError(f"unknown rounding '{rounding}'{did_you_mean(rounding, ROUNDINGS)}")
     if rounding == "joint" and bits == 8:
-        solver = JointRounding(bits)
-        layers = solve(problem, solver, iterations=_ROUNDING_SWEEPS, init=layers).layers
-    return quantise(layers, bits)
+        solver = JointRounding((Response(bits, transfer),) * problem.layer_count)
+        layers = solve(problem, solver, iterations=ROUNDING_SWEEPS, init=layers).layers
+    return quantise(layers, bits, transfer)

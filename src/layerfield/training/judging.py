@@ -38,7 +38,7 @@ class Judges:
         return cls(display, source.sets(recipe))
 
     def psnr(self, network: Network, device: torch.device) -> dict[str, float]:
-        """Return the mean over scenes of the PSNR of clamped layers, by set, dB."""
+        """Return the mean over scenes of the PSNR of clamped layers as light, by set, dB."""
         return {
             f"{name}_psnr": self._mean([self._error(network, views.to(device)) for views in scenes])
             for name, scenes in self.sets.items()
@@ -52,12 +52,13 @@ class Judges:
             grid = self.display.geometry.grid or (1, self.display.view_count)
             field = LightField(scenes, grid)
             layers = synthesize(field, self.display, method=_SOLVER, iterations=iterations).layers
-            errors = (self.display(layers) - scenes).square().mean(dim=(1, 2, 3, 4))
+            light = self.display.transfer.decode(scenes)
+            errors = (self.display(layers) - light).square().mean(dim=(1, 2, 3, 4))
             found[f"{name}_psnr"] = self._mean(errors.tolist())
         return found
 
     def _error(self, network: Network, views: Float[Tensor, "view c y x"]) -> float:
-        channels = views.transpose(0, 1)
+        channels = self.display.transfer.decode(views).transpose(0, 1)
         with torch.no_grad():
             layers = pixels(network, channels, self.display.margin).float().clamp(0, 1)
         return (shown_by(self.display, layers) - channels).square().mean().item()

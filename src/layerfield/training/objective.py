@@ -44,10 +44,11 @@ class Objective(nn.Module):
         self.most = 1.0 if loss.clamped else math.inf
 
     def forward(self, views: Float[Tensor, "batch view y x"]) -> Float[Tensor, ""]:
-        """Return the loss of a batch of samples, one colour channel each."""
-        values = pixels(self.network, views, self.display.margin).float()
+        """Return the loss of a batch of samples, one colour channel each, as light."""
+        light = self.display.transfer.decode(views)
+        values = pixels(self.network, light, self.display.margin).float()
         shown = shown_by(self.display, values.relu().clamp(max=self.most))
-        squares = (shown - views).square().mean(dim=(1, 2, 3))
+        squares = (shown - light).square().mean(dim=(1, 2, 3))
         return self.error(squares) + self.weight * self.regulariser(values)
 
 

@@ -45,7 +45,7 @@ def starting_network(
         return given.train(), []
     generator = torch.Generator().manual_seed(recipe.seed)
     network, known, notes = _begun(recipe, display, folder, generator)
-    views = source.batch(0, recipe.batch)
+    views = display.transfer.decode(source.batch(0, recipe.batch))
     side = views.shape[-1] // network.multiple * network.multiple
     views = views[..., :side, :side].cpu()
     for _ in range(_MOST_SEEDS):

@@ -63,9 +63,9 @@ def test_lower_rooms_do_not_import_higher_ones():
         "panel_spec", "display_spec", "display", "panels", "solve", "between", "tone", "solvers",
         "panel_images", "networks", "metrics", "provenance", "scenes", "io", "eyes", "plane_sweep",
         "disparity", "weights", "methods", "synthesizer", "reference", "evaluate", "remarks",
-        "result", "spectrum", "design", "training", "report", "demo", "reproduction", "terminal",
-        "process", "cli_options", "refusals", "cli_fields", "cli_design", "cli_reproduction",
-        "cli_training", "cli", "__main__",
+        "observers", "result", "spectrum", "design", "training", "report", "demo", "reproduction",
+        "terminal", "process", "cli_options", "refusals", "cli_fields", "cli_design",
+        "cli_reproduction", "cli_training", "cli", "__main__",
     ]  # fmt: skip
     source = ROOT / "src" / "layerfield"
     for file in source.rglob("*.py"):
@@ -203,6 +203,20 @@ def test_every_command_of_the_page_on_eyes_runs(tmp_path, monkeypatch):
         assert done.returncode == 0, f"{command}\n{done.stderr}"
     for block in re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL):
         exec(compile(block, "eyes.md", "exec"), {})
+
+
+def test_every_command_of_the_page_on_displays_runs(tmp_path):
+    page = (ROOT / "docs" / "displays.md").read_text("utf-8")
+    field = layerfield.procedural_light_field(size=(40, 48))
+    write_views(tmp_path / "my-views", field.views, Display.load("additive-3"), 8)
+    (toml,) = re.findall(r"```toml\n(.*?)```", page, flags=re.DOTALL)
+    (tmp_path / "three-in-time.toml").write_text(toml, "utf-8")
+    for command in commands_in(page):
+        done = subprocess.run(
+            [sys.executable, "-m", *command.split()],
+            cwd=tmp_path, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, f"{command}\n{done.stderr}"
 
 
 def test_every_command_of_the_page_on_panels_runs(tmp_path):

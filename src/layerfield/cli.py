@@ -42,6 +42,7 @@ from layerfield.io import (
     write_contact_sheet,
 )
 from layerfield.methods import CHAIN_ITERATIONS
+from layerfield.observers import parse_observers
 from layerfield.panel_images import panel_projection
 from layerfield.panels import largest_code
 from layerfield.process import run
@@ -83,6 +84,7 @@ app = typer.Typer(
 )
 _METHOD = "a name that `methods` lists, FILE.safetensors, or NETWORK+SOLVER"
 _EYE = "X,Y[,Z] in mm, or X,Y in view steps: what an eye there sees; repeatable"
+_OBSERVERS = "central:STEPS, or a CSV file of weights, a line for each row of views"
 _METHODS = "such names, as a,b:100 (iterations),c+b:3"
 
 
@@ -154,6 +156,9 @@ def synth(
         bool, typer.Option("--history", help="record the error of every iteration")
     ] = False,
     targets_between: TargetsBetween = None,
+    observers: Annotated[
+        str | None, typer.Option("--observers", help="who looks from where: " + _OBSERVERS)
+    ] = None,
     device: Device = "cpu",
     force: Force = False,
 ) -> None:
@@ -165,7 +170,7 @@ def synth(
     refuse_unknown("rounding", rounding, ROUNDINGS)
     refuse_device(device)
     refuse_existing(out, force=force)
-    keep_inputs(out, field, own_file(display), chosen.file)
+    keep_inputs(out, field, own_file(display), chosen.file, own_file(observers))
     chosen.refuse_unserved(target)
     _refuse_targets(targets_between, [target])
     with status(total=count or None) as tick:
@@ -179,6 +184,7 @@ def synth(
             target,
             method=method,
             iterations=count,
+            weights=None if observers is None else parse_observers(observers, loaded.grid),
             history=history,
             callback=lambda done, _: tick(chosen.title, done),
         )
@@ -193,7 +199,7 @@ def synth(
             bits=bits,
             rounding=rounding,
             reference=known,
-            options=recorded(options, targets_between),
+            options=recorded(options, targets_between, observers),
         )
         write_result(out, result, simulate=simulate_views, force=force)
     for remark in values_taken_for_light(loaded, target):

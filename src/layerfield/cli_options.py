@@ -68,8 +68,12 @@ def with_field_options(command: Callable[..., None]) -> Callable[..., None]:
     return wrapper
 
 
-def recorded(options: FieldOptions, targets_between: str | None = None) -> dict[str, Any]:
-    """Return the options that say what was read, where they are not the default."""
+def recorded(
+    options: FieldOptions, targets_between: str | None = None, observers: str | None = None
+) -> dict[str, Any]:
+    """Return the options that say what was read and aimed at, where they are not the default."""
     between = {} if targets_between is None else {"targets-between": targets_between}
+    if observers is not None:
+        between |= {"observers": Path(observers).name}
     changed = (f.name for f in fields(options) if getattr(options, f.name) != f.default)
     return {"options": {name: str(getattr(options, name)) for name in changed} | between}

@@ -29,7 +29,7 @@ from layerfield.evaluate import Figures, figures
 from layerfield.io import read_image, whole_directory, write_png
 from layerfield.io.images import SUFFIXES
 from layerfield.light_field import LightField
-from layerfield.metrics import excess, mean_square_error, psnr
+from layerfield.metrics import decibels, excess, mean_square_error, psnr
 from layerfield.panel_images import PanelImages, panel_images, views_through_panels
 from layerfield.panels import dequantise, quantise
 from layerfield.provenance import provenance
@@ -79,8 +79,7 @@ def make_result(
         reference: the optimum or best known, if it was computed.
         options: how the light field was read, to be recorded.
     """
-    problem = pose(field, display)
-    solved = solution.problem or problem
+    solved = solution.problem or pose(field, display)
     codes = panel_codes(
         solved, solution.layers, bits=bits, rounding=rounding, transfer=display.transfer
     )
@@ -104,6 +103,7 @@ def make_result(
         "margin": display.margin,
         "made_with": provenance(field.views.device),
         **_quality(figures(layers, field, display)),
+        **_observed(layers, field, display, solved.weights[: display.view_count]),
         "reference": reference and asdict(reference) | {"psnr": _finite(reference.psnr)},
         "excess": reference and _finite(excess(error, reference.mean_square_error)),
     }
@@ -111,6 +111,18 @@ def make_result(
         return Result(codes, display, facts)
     facts["panels"] = _panel_figures(panels, field, display)
     return Result(codes, display, facts, panels.codes)
+
+
+def _observed(
+    layers: Tensor, field: LightField, display: Display, weights: Sequence[float]
+) -> dict[str, Any]:
+    """The figure that counts views as the observers do, where they count differently."""
+    if len(set(weights)) == 1:
+        return {}
+    seen = display.transfer.encode(display(layers))
+    errors = [mean_square_error(s, v) for s, v in zip(seen, field.views, strict=True)]
+    pooled = sum(w * e for w, e in zip(weights, errors, strict=True)) / sum(weights)
+    return {"psnr_observers": _finite(decibels(pooled))}
 
 
 def _panel_figures(panels: PanelImages, field: LightField, display: Display) -> dict[str, Any]:

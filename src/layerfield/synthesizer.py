@@ -8,6 +8,7 @@ NETWORK+SOLVER       a network, then iterations of a solver that start from its 
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Protocol, runtime_checkable
 
 from torch import Tensor
@@ -203,4 +204,5 @@ def synthesize(
     problem = pose(field, display, weights)
     found.refuse_unserved(display)
     options = RunOptions(count, init, weights, tolerance, time_limit, callback, history)
-    return found.run(problem, display, options)
+    solution = found.run(problem, display, options)
+    return replace(solution, problem=solution.problem or problem)

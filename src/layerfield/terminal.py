@@ -57,9 +57,14 @@ def report(out: Path, field: LightField, facts: dict[str, Any]) -> None:
         where = " in linear light" if light else ""
         compared = f"; {known['kind']} {_decibels(known['psnr'])}{where}{excess}"
     linear = f", linear light {_decibels(facts['psnr_linear'])}" if light else ""
+    observers = (
+        f", as observers count {_decibels(facts['psnr_observers'])}"
+        if "psnr_observers" in facts
+        else ""
+    )
     say(
         f"{facts['method']} on {facts['display']}: {_decibels(facts['psnr'])} (interior "
-        f"{_decibels(facts['psnr_interior'])}{linear}) after {_effort(facts)}{compared}"
+        f"{_decibels(facts['psnr_interior'])}{linear}{observers}) after {_effort(facts)}{compared}"
     )
     say(f"{len(facts['layers'])} layers, {facts['bits']} bit, are in {out / 'layers'}")
     if "panels" in facts:

@@ -1,14 +1,16 @@
 """How near the shipped networks come to the reference, on the five light fields.
 
-    python benchmarks/networks.py OUT.json
+    python benchmarks/networks.py OUT.json [DISPLAY...]
 
 Every network beside the iterations that it is to equal, and followed by three iterations of the
 direct solver. Then the excess error (mean square error over that of the reference, minus 1) on the
-light fields and on procedural test scenes.
+light fields and on procedural test scenes. Where displays are named, rows of others in OUT.json
+stay.
 """
 
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from statistics import mean
 
@@ -21,14 +23,16 @@ from layerfield.metrics import excess
 from layerfield.training.sources import scenes
 from layerfield.weights import shipped_networks
 
+PRESETS = ("additive-3", "multiplicative-3", "perspective-3")
 RIVALS = {"additive": [("nmf", 50), ("nmf", 10)], "multiplicative": [("sweeps", 5)]}
 _TEST = 2**31  # the seed of procedural test scenes
 _SCENES, _SIZE = 8, 128
 
 
-def main(out: Path) -> None:
-    records = []
-    for preset in ("additive-3", "multiplicative-3", "perspective-3"):
+def main(out: Path, presets: Sequence[str]) -> None:
+    kept = json.loads(out.read_text("utf-8")) if out.exists() else []
+    records = [record for record in kept if record["display"] not in presets]
+    for preset in presets:
         display = Display.load(preset)
         networks = shipped_networks(display)
         if not networks:
@@ -77,4 +81,4 @@ def procedural(display: Display) -> list[LightField]:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), sys.argv[2:] or PRESETS)

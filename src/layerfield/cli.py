@@ -252,7 +252,8 @@ def simulate_command(
         (temporary / "display.toml").write_text(format_spec(shown_on.spec), "utf-8")
     for remark in made_for_another_transfer(made_for, shown_on):
         say(remark)
-    say(f"{len(views)} views are in {out / 'views'}")
+    count = "1 view is" if len(views) == 1 else f"{len(views)} views are"
+    say(f"{count} in {out / 'views'}")
 
 
 @app.command(name="evaluate")

@@ -43,7 +43,7 @@ def eye_map(rows: Sequence[Row]) -> Figure:
         )
         for name, group in groups.items()
     ]
-    note = "PSNR in dB, one eye a cell"
+    note = f"PSNR in dB, one eye a cell; {' or '.join(dict.fromkeys(map(_places, rows)))}"
     columns = max(m.shape[-1] for m in maps.values())
     return sheet(Sheet("What eyes see", strips, note, width=max(2.3, _INCH * columns)))
 
@@ -54,6 +54,13 @@ def _map(row: Row) -> Float[Tensor, "1 y x"]:
     ys, xs = (sorted({place[axis] for place in found}) for axis in (0, 1))
     values = [[_drawn(found.get((y, x), math.nan)) for x in xs] for y in ys]
     return torch.tensor([values])
+
+
+def _places(row: Row) -> str:
+    """Where the outermost eyes are."""
+    assert row.eyes is not None
+    x, y = (sorted({eye[axis] for eye in row.eyes.by_eye}) for axis in (0, 1))
+    return f"x {x[0]:g} to {x[-1]:g}, y {y[0]:g} to {y[-1]:g} view steps from the centre"
 
 
 def _drawn(psnr: float | None) -> float:

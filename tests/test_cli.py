@@ -1148,7 +1148,9 @@ def test_a_closed_pipe(desk, call):
     assert err == ""
 
 
-def test_a_full_standard_output(desk):
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_a_full_standard_output(desk, monkeypatch, unbuffered):
+    monkeypatch.setenv("PYTHONUNBUFFERED", unbuffered)
     with Path("/dev/full").open("w") as full:
         process = start(COMMAND, "methods", stdout=full)
         _, err = process.communicate(timeout=60)

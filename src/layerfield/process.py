@@ -1,6 +1,7 @@
 """How the program runs and ends: signals, errors as one line, the exit status."""
 
 import io
+import os
 import re
 import signal
 import sys
@@ -60,4 +61,13 @@ def _expected(error: Exception) -> str:
 def _fail(message: str) -> NoReturn:
     line = " ".join(message.split())
     complain(f"layerfield: {line}")
+    _give_up_output()
     sys.exit(2)
+
+
+def _give_up_output() -> None:
+    """What standard output cannot take would be tried, and complained of, again at the exit."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

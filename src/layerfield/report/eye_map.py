@@ -59,7 +59,7 @@ def _map(row: Row) -> Float[Tensor, "1 y x"]:
 def _places(row: Row) -> str:
     """Where the outermost eyes are."""
     assert row.eyes is not None
-    x, y = (sorted({eye[axis] for eye in row.eyes.by_eye}) for axis in (0, 1))
+    x, y = (sorted(places) for places in zip(*((e.x, e.y) for e in row.eyes.by_eye), strict=True))
     return f"x {x[0]:g} to {x[-1]:g}, y {y[0]:g} to {y[-1]:g} view steps from the centre"
 
 

@@ -115,8 +115,8 @@ def _described(display: Display) -> str:
     reach = max(abs(c) for view in display.geometry.shifts for shift in view for c in shift)
     law = "" if display.transfer == NONE else f", transfer {named(display.transfer)}"
     times = f"{display.subframes} subframes of " if display.subframes > 1 else ""
-    layers = f"{times}{display.layer_count} layers, shifts to {reach:g} px"
-    return f"{display.link.name}, {views}, {layers}{law}"
+    layers = f"{times}{display.layer_count} layers, shifts to {reach:g} px{law}"
+    return f"{display.link.name}, {views}, {layers}"
 
 
 # ------------------------------------------------------------------------------------ weight files

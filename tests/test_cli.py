@@ -611,7 +611,12 @@ DISPLAYS = [
     flat("typo", "disparity", "dispartiy", "unknown key 'dispartiy'; did you mean 'disparity'?"),
     flat("foreign key", "views", "colour = 1\nviews", "unknown key 'colour'; known are"),
     flat("in a table", FLAT, f"[display]\n{FLAT}", "unknown key 'display'"),
-    flat("link", '"additive"', '"aditive"', "'link' is 'aditive'|'additive' or 'multiplicative'"),
+    flat(
+        "link",
+        '"additive"',
+        '"aditive"',
+        "'link' is 'aditive'|'additive', 'multiplicative' or 'polarisation'",
+    ),
     flat("a text for views", "[5, 5]", '"5x5"', "'views' is '5x5'|list"),
     flat("one number for views", "[5, 5]", "[5]", "'views' holds too few numbers"),
     flat("zero columns", "[5, 5]", "[5, 0]", "'views[1]' is 0|greater than or equal to 1"),

@@ -11,7 +11,7 @@ demo: $(VENV)/.installed
 	$(BIN)/layerfield demo --out demo --force
 
 test: check
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --maxprocesses 8 --dist worksteal
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

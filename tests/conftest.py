@@ -1,12 +1,15 @@
 """Shapes are checked at run time in tests, and only there; the light fields to judge on."""
 
+import math
 import os
 import signal
+import sys
 from pathlib import Path
 
 os.environ.setdefault("GOMP_SPINCOUNT", "2000")  # before torch, as layerfield itself does
 
 import pytest
+import shape_checks
 import torch
 from jaxtyping import install_import_hook
 
@@ -29,6 +32,11 @@ def _one_thread():
     torch.set_num_threads(1)
 
 
+@pytest.fixture(autouse=True)
+def _check_shapes_anew():
+    shape_checks.calls.clear()
+
+
 @pytest.fixture(autouse=True, scope="session")
 def _interruptible():
     """A job in the background of a shell ignores Ctrl-C, and so would all it starts."""
@@ -40,6 +48,15 @@ def _interruptible():
 def _own_cache(tmp_path_factory):
     """References of the tests stay with the tests."""
     os.environ["LAYERFIELD_CACHE"] = str(tmp_path_factory.mktemp("cache"))
+
+
+@pytest.fixture
+def quick_references(monkeypatch, tmp_path_factory):
+    """The first round passes for the reference: for tests of what is said of one."""
+    module = sys.modules["layerfield.reference"]
+    monkeypatch.setattr(module, "GAP_DB", math.inf)
+    monkeypatch.setattr(module, "_STAGNATION", 1.0)
+    monkeypatch.setenv("LAYERFIELD_CACHE", str(tmp_path_factory.mktemp("quick")))
 
 
 @pytest.fixture(scope="session")

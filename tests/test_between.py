@@ -69,7 +69,7 @@ def test_eyes_at_viewpoints_see_the_views_however_they_are_cut(stored, shift, vi
     assert len(given_between(found, field).positions) > 0
 
 
-def test_figures_between_are_those_of_the_eyes(field, around):
+def test_figures_between_are_those_of_the_eyes(field, around, quick_references):
     display = Display.load("additive-3")
     rows = evaluate([field], [display], [("fourier-admm", 5)], around=[around])
     found = rows[0].eyes
@@ -176,7 +176,7 @@ def test_targets_that_make_no_sense(text):
         parse_targets(text)
 
 
-def test_map(field, around, tmp_path):
+def test_map(field, around, tmp_path, quick_references):
     display = Display.load("additive-3")
     rows = evaluate([field], [display], [("fourier-admm", 2), ("nmf", 2)], around=[around])
     write_eye_map(tmp_path / "map.png", rows)

@@ -393,7 +393,7 @@ def test_evaluate_in_its_own_processes(desk):
     assert found["reference"]["psnr"] == rows[0]["reference_psnr"] > found["psnr"] - 0.01
 
 
-def test_evaluate_between(desk):
+def test_evaluate_between(desk, quick_references):
     """Every second view is shown, those between are judged, or are targets, too."""
     every_second = ["--step", "2", "--views", "3x3", "--display", "d.toml"]
     (desk / "d.toml").write_text(FLAT.replace("[5, 5]", "[3, 3]"))

@@ -1,6 +1,7 @@
 """The package as others meet it: public names, the wheel, the README, the displays."""
 
 import re
+import shlex
 import subprocess
 import sys
 import tomllib
@@ -9,6 +10,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from test_cli import run
 
 import layerfield
 from layerfield import DisparitySpec, Display, PhysicalSpec, preset_names
@@ -141,66 +143,60 @@ def test_the_readme_opens_with_the_two_commands():
     assert commands[:2] == ["make demo", "make test"]
 
 
-def test_every_command_of_the_readme_runs(tmp_path):
-    """In an empty folder, with a light field called `my-views` and one display file in it."""
+def runs(commands: list[str]) -> None:
+    for command in commands:
+        name, *words = shlex.split(command)
+        assert name == "layerfield"
+        done = run(*words)
+        assert done.status == 0, f"{command}\n{done.err}"
+
+
+def small_field(grid: tuple[int, int] = (5, 5)) -> layerfield.LightField:
+    return layerfield.procedural_light_field(grid=grid, size=(40, 48))
+
+
+@pytest.fixture
+def my_views(tmp_path, monkeypatch, quick_references):
+    """An empty folder with a light field called `my-views` in it."""
+    monkeypatch.chdir(tmp_path)
+    write_views(Path("my-views"), small_field().views, Display.load("additive-3"), 8)
+
+
+def test_every_command_of_the_readme_runs(my_views):
     readme = (ROOT / "README.md").read_text("utf-8")
-    field = layerfield.procedural_light_field(size=(40, 48))
-    write_views(tmp_path / "my-views", field.views, Display.load("additive-3"), 8)
     (toml,) = re.findall(r"```toml\n(.*?)```", readme, flags=re.DOTALL)
-    (tmp_path / "my-display.toml").write_text(toml, "utf-8")
-    bin_folder = Path(sys.executable).parent
-    for command in commands_in(readme):
-        if command.startswith("layerfield") and not re.search(" (demo|train) ", f"{command} "):
-            done = subprocess.run(
-                f"{bin_folder}/{command}",
-                shell=True, cwd=tmp_path, capture_output=True, text=True, check=False,
-            )  # fmt: skip
-            assert done.returncode == 0, f"{command}\n{done.stderr}"
+    Path("my-display.toml").write_text(toml, "utf-8")
+    ours = [command for command in commands_in(readme) if command.startswith("layerfield")]
+    runs([command for command in ours if not re.search(" (demo|train) ", f"{command} ")])
 
 
-def test_every_command_of_the_page_on_networks_runs(tmp_path):
+def test_every_command_of_the_page_on_networks_runs(my_views):
     """But for trainings, whose recipes are read only."""
     page = (ROOT / "docs" / "networks.md").read_text("utf-8")
-    field = layerfield.procedural_light_field(size=(40, 48))
-    write_views(tmp_path / "my-views", field.views, Display.load("additive-3"), 8)
     (toml,) = re.findall(r"```toml\n(.*?)```", page, flags=re.DOTALL)
-    (tmp_path / "my-recipe.toml").write_text(toml, "utf-8")
-    for command in commands_in(page):
-        name, *words = command.split()
-        assert name == "layerfield"
-        if words[0] == "train":
-            recipe = read_recipe(tmp_path / words[1] if "my-" in words[1] else words[1])
-            assert recipe.name == words[1].removesuffix(".toml")
-        else:
-            done = subprocess.run(
-                [Path(sys.executable).parent / name, *words],
-                cwd=tmp_path, capture_output=True, text=True, check=False,
-            )  # fmt: skip
-            assert done.returncode == 0, f"{command}\n{done.stderr}"
+    Path("my-recipe.toml").write_text(toml, "utf-8")
+    trainings = [line.split()[2] for line in commands_in(page) if line.split()[1] == "train"]
+    for given in trainings:
+        recipe = read_recipe(Path(given) if "my-" in given else given)
+        assert recipe.name == given.removesuffix(".toml")
+    runs([command for command in commands_in(page) if command.split()[1] != "train"])
     for row in re.findall(r"^\| (`.*?) \|", page.split("| recipe |")[1], flags=re.MULTILINE):
         for recipe in re.findall("`(.*?)`", row):
             read_recipe(recipe)
 
 
-def test_every_command_of_the_page_on_eyes_runs(tmp_path, monkeypatch):
+def test_every_command_of_the_page_on_eyes_runs(tmp_path, monkeypatch, quick_references):
     page = (ROOT / "docs" / "eyes.md").read_text("utf-8")
     monkeypatch.chdir(tmp_path)
     nine = parse_spec('link = "additive"\ndisparity = [1, 0]\nviews = [9, 9]', "nine")
-    field = layerfield.procedural_light_field(grid=(9, 9), size=(40, 48))
-    write_views(tmp_path / "my-views", field.views, Display(nine), 8)
+    field = small_field((9, 9))
+    write_views(Path("my-views"), field.views, Display(nine), 8)
     (toml,) = re.findall(r"```toml\n(.*?)```", page, flags=re.DOTALL)
     Path("two-eyes.toml").write_text(toml, "utf-8")
-    two = Display.load("two-eyes.toml")
-    write_views(tmp_path / "my-eyes", field.views[:2], two, 8)
+    write_views(Path("my-eyes"), field.views[:2], Display.load("two-eyes.toml"), 8)
     three = 'name = "three"\nlink = "additive"\ndisparity = [1, 0, -1]\nviews = [3, 3]\n'
     Path("3x3.toml").write_text(three, "utf-8")
-    for command in commands_in(page):
-        name, *words = command.split()
-        done = subprocess.run(
-            [Path(sys.executable).parent / name, *words],
-            capture_output=True, text=True, check=False,
-        )  # fmt: skip
-        assert done.returncode == 0, f"{command}\n{done.stderr}"
+    runs(commands_in(page))
     for block in re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL):
         exec(compile(block, "eyes.md", "exec"), {})
 
@@ -212,27 +208,17 @@ PAGES = {
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_every_command_of_the_pages_on_displays_runs(tmp_path, name):
+def test_every_command_of_the_pages_on_displays_runs(my_views, name):
     """Each shows one display file, which its commands read."""
     (page, (file, made)) = (ROOT / "docs" / name).read_text("utf-8"), PAGES[name]
-    field = layerfield.procedural_light_field(size=(40, 48))
-    write_views(tmp_path / "my-views", field.views, Display.load("additive-3"), 8)
     (toml,) = re.findall(r"```toml\n(.*?)```", page, flags=re.DOTALL)
-    (tmp_path / file).write_text(toml, "utf-8")
-    for command in commands_in(page):
-        done = subprocess.run(
-            [sys.executable, "-m", *command.split()],
-            cwd=tmp_path, capture_output=True, text=True, check=False,
-        )  # fmt: skip
-        assert done.returncode == 0, f"{command}\n{done.stderr}"
-    assert (tmp_path / made).is_dir()
+    Path(file).write_text(toml, "utf-8")
+    runs(commands_in(page))
+    assert Path(made).is_dir()
 
 
-def test_every_python_block_of_the_readme_runs(tmp_path, monkeypatch):
+def test_every_python_block_of_the_readme_runs(my_views):
     readme = (ROOT / "README.md").read_text("utf-8")
-    field = layerfield.procedural_light_field(size=(40, 48))
-    write_views(tmp_path / "my-views", field.views, Display.load("additive-3"), 8)
-    monkeypatch.chdir(tmp_path)
     blocks = re.findall(r"```python\n(.*?)```", readme, flags=re.DOTALL)
     assert blocks
     for block in blocks:

@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 from itertools import pairwise
 
+import numpy as np
 import pytest
 import torch
 
@@ -108,14 +109,15 @@ def test_additive_solution_equals_dense_least_squares():
     shape = problem.back_projected.shape[-5:]
     units = torch.eye(math.prod(shape), dtype=torch.float64).unflatten(-1, shape)
     dense = display.projection.forward(units.squeeze(-5)).flatten(1).T
-    normal, right = dense.T @ dense, dense.T @ views.flatten()
-    best = torch.full_like(right, 0.3)
+    dense = dense.numpy()
+    normal, right = dense.T @ dense, dense.T @ views.flatten().numpy()
+    best = np.full_like(right, 0.3)
     for _ in range(2000):
         for j in range(len(best)):
             if normal[j, j] > 0:
                 gradient = normal[j] @ best - right[j]
-                best[j] = (best[j] - gradient / normal[j, j]).clamp(0, 1)
-    expected = (dense @ best - views.flatten()).square().mean().item()
+                best[j] = min(max(best[j] - gradient / normal[j, j], 0.0), 1.0)
+    expected = np.square(dense @ best - views.flatten().numpy()).mean()
     found = solve(problem, FourierAdmm(balance=0), iterations=600)
     assert problem.mean_square_error(found.layers) == pytest.approx(expected, rel=1e-4)
     assert optimality_gap(problem, found.layers) < 0.01
@@ -138,6 +140,7 @@ def test_gap_bounds_the_distance_to_the_optimum(scene):
 @pytest.mark.parametrize("link", sorted(LINKS))
 def test_reference_is_at_least_as_good_as_every_method(scene, link):
     display = Display.load(PRESETS[link])
+    scene = replace(scene, views=scene.views[..., :48, :56])
     problem = pose(scene, display)
     found = reference(problem)
     assert cached_reference(problem) == found

@@ -118,7 +118,7 @@ def test_networks_and_sums_have_no_subframes(scene):
         synthesize(scene, display(), method="tone")
 
 
-def test_the_reference_has_them_too(scene):
+def test_the_reference_has_them_too(scene, quick_references):
     row = evaluate([scene], [display(subframes=2)], [("fourier-admm", 3)])[0]
     assert row.reference is not None
     assert row.reference.psnr >= row.figures.psnr - 0.01

@@ -92,7 +92,7 @@ def test_both_figures(scene):
     assert same.psnr == same.psnr_linear
 
 
-def test_tables_show_both_figures_where_they_differ(scene):
+def test_tables_show_both_figures_where_they_differ(scene, quick_references):
     (row,) = evaluate([scene], [display_with(Srgb())], [("fourier-admm", 3)])
     assert {"psnr", "psnr_linear"} < set(row.as_record())
     ((title, lines),) = tables([row])
@@ -155,7 +155,7 @@ PHYSICAL = (
 ARGS = ["synth", "views", "--display", "d.toml", "--out", "out"]
 
 
-def test_written_files_hold_encoded_values(desk):
+def test_written_files_hold_encoded_values(desk, quick_references):
     (desk / "d.toml").write_text(DISPARITY + 'transfer = "srgb"\n')
     out = succeed(*ARGS, "--simulate", "--reference")
     assert re.search(r"linear light \d\d\.\d\d dB\) after .* dB in linear light, excess", out)
@@ -192,7 +192,7 @@ def test_a_curve_travels_with_the_result(desk):
     assert contents(desk / "seen" / "views") == contents(desk / "out" / "views")
 
 
-def test_pictures_taken_for_light_are_remarked_on(desk):
+def test_pictures_taken_for_light_are_remarked_on(desk, quick_references):
     remark = "no transfer, so the 8-bit values of 'views' are taken for light"
     (desk / "d.toml").write_text(PHYSICAL)
     assert succeed(*ARGS).count(remark) == 1

@@ -197,7 +197,7 @@ class Solution:
         solver: what made it, and
         state: its last state, for a warm start.
         details: what else is worth recording, by name: plain numbers and texts.
-        problem: what rounding has to go on with, if that is not the display's own problem.
+        problem: what was solved, with its weights and targets: rounding goes on with it.
     """
 
     layers: Float[Tensor, "*batch subframe layer c ly lx"]

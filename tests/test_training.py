@@ -76,6 +76,15 @@ def same(first: dict[str, torch.Tensor], second: dict[str, torch.Tensor], within
     return all((first[key] - second[key]).abs().max() <= within for key in first)
 
 
+def test_gammas_give_the_same_scenes_other_tones(tmp_path):
+    display, plain = Display.load("additive-3"), DRAWN.replace("[drawn]", "[drawn]\nGIVEN")
+    found = {}
+    for gamma in (1.0, 2.0):
+        text = plain.replace("GIVEN", f"gammas = [{gamma}, {gamma}]\nintensities = [0.5, 0.5]")
+        found[gamma] = source_of(recipe(tmp_path, text), display, tmp_path, CPU).batch(3, 1)
+    torch.testing.assert_close(found[2.0] / 0.5, (found[1.0] / 0.5) ** 2)
+
+
 @pytest.mark.parametrize("text", [TINY, DRAWN])
 def test_batches_depend_on_seed_and_step_alone(tmp_path, text):
     display, chosen = Display.load("additive-3"), recipe(tmp_path, text)

@@ -9,7 +9,7 @@ from layerfield.light_field import LightField
 from layerfield.networks import Network
 from layerfield.synthesizer import pose
 from layerfield.training.loop import Run
-from layerfield.training.recipe import Optimiser, Recipe
+from layerfield.training.recipe import Cut, Optimiser, Recipe
 from layerfield.training.sources import Patches
 
 STEPS = 100
@@ -38,16 +38,9 @@ def adaptation(run: Run, field: LightField, network: Network) -> Run:
     """
     recipe, display = _recipe(run.recipe, field), run.display
     pose(field, display)
-    source = OneField(
-        lambda _: [field.views],
-        recipe.patch,
-        (0.7, 1.0),
-        STEPS,
-        recipe.seed,
-        None,
-        {"adapted to": field.name},
-        display,
-    )
+    cut = Cut(patch=recipe.patch, intensities=(0.7, 1.0), steps=STEPS)
+    about: dict[str, int | str] = {"adapted to": field.name}
+    source = OneField(lambda _: [field.views], cut, recipe.seed, None, about, display)
     return replace(run, recipe=recipe, initial=network, source=source)
 
 

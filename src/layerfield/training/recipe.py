@@ -42,27 +42,39 @@ class StoredScenes(_Table):
     stretch: Positive = 1.0
 
 
-class DrawnScenes(_Table):
+class Cut(_Table):
+    """How patches are cut from light fields at random.
+
+    Args:
+        patch: height and width of a patch, pixels.
+        intensities: the lowest and the highest factor.
+        gammas: the lowest and the highest exponent of the values, before the factor: the same
+            scene with other tones. Photographs have deeper blacks beside bright pixels than the
+            scenes do, and where a display has a transfer, light has all the more.
+        steps: of an epoch.
+    """
+
+    patch: Annotated[int, Field(strict=True, ge=16)]
+    intensities: tuple[Positive, Positive] = (0.4, 1.0)
+    gammas: tuple[Positive, Positive] = (1.0, 1.0)
+    steps: Count = 100
+
+
+class DrawnScenes(Cut):
     """Procedural scenes without end: patches of a pool in which new scenes replace old ones.
 
     Args:
         pool: scenes at hand at any time.
         every: steps after which the oldest scene is replaced.
         size: height and width of the scenes, pixels.
-        patch: height and width of what is cut from them.
-        intensities: the lowest and the highest factor.
         stretch: range of disparities, in units of the depth of the display; of a pair, every
             scene draws its own, evenly in its logarithm.
-        steps: of an epoch.
     """
 
     pool: Count
     every: Count
     size: Annotated[int, Field(strict=True, ge=16)]
-    patch: Annotated[int, Field(strict=True, ge=16)]
-    intensities: tuple[Positive, Positive] = (0.4, 1.0)
     stretch: Stretch = 1.0
-    steps: Count = 100
 
     @model_validator(mode="after")
     def _patches_fit(self):
@@ -70,22 +82,16 @@ class DrawnScenes(_Table):
         return self
 
 
-class FieldFolder(_Table):
+class FieldFolder(Cut):
     """Patches of light fields of the user's own.
 
     Args:
         folder: holds light fields, whatever reader they need; relative to the recipe.
         options: how to read them, as on the command line (`views = "5x5"`).
-        patch: height and width of a patch, pixels.
-        intensities: the lowest and the highest factor.
-        steps: of an epoch.
     """
 
     folder: str
     options: dict[str, str | int | float] = {}
-    patch: Annotated[int, Field(strict=True, ge=16)]
-    intensities: tuple[Positive, Positive] = (0.4, 1.0)
-    steps: Count = 100
 
 
 class Loss(_Table):

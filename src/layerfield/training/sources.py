@@ -22,7 +22,7 @@ from layerfield.io import FieldOptions, load_light_field
 from layerfield.nearest import did_you_mean
 from layerfield.scenes import render, scenes_for
 from layerfield.synthesizer import pose
-from layerfield.training.recipe import DrawnScenes, FieldFolder, Recipe, StoredScenes, Stretch
+from layerfield.training.recipe import Cut, DrawnScenes, FieldFolder, Recipe, StoredScenes, Stretch
 
 # Seeds of scenes, apart from each other whatever the recipe's seed, which is below 2^8. PyTorch
 # takes the lowest 32 bits of a seed.
@@ -116,22 +116,11 @@ def source_of(recipe: Recipe, display: Display, folder: Path, device: torch.devi
     if drawn is not None:
         pool: Pool = ScenePool(drawn, display, recipe.seed, device)
         about: dict[str, int | str] = {"scenes": "without end", "pool": drawn.pool}
-        return Patches(
-            pool, drawn.patch, drawn.intensities, drawn.steps, recipe.seed, grid, about, display
-        )
+        return Patches(pool, drawn, recipe.seed, grid, about, display)
     assert given is not None
     views = _load_all(given, folder, display)
     about = {"light fields": len(views)}
-    return Patches(
-        lambda _: views,
-        given.patch,
-        given.intensities,
-        given.steps,
-        recipe.seed,
-        grid,
-        about,
-        display,
-    )
+    return Patches(lambda _: views, given, recipe.seed, grid, about, display)
 
 
 @dataclass(frozen=True)
@@ -187,9 +176,7 @@ class Patches:
 
     Args:
         pool: step -> views, 8 bit or 0 to 1.
-        patch: height and width of a patch, pixels.
-        intensities: the lowest and the highest factor.
-        steps_of_an_epoch: a number of the recipe, as there is no pass over all patches.
+        cut: size and values of patches, and how many steps are called an epoch.
         seed: of the choice.
         grid: of the views, square; samples are then transposed and half-turned at random.
         about: facts for a report.
@@ -197,16 +184,14 @@ class Patches:
     """
 
     pool: Pool
-    patch: int
-    intensities: tuple[float, float]
-    steps_of_an_epoch: int
+    cut: Cut
     seed: int
     grid: tuple[int, int] | None
     about: dict[str, int | str]
     display: Display
 
     def steps(self, batch: int) -> int:
-        return self.steps_of_an_epoch
+        return self.cut.steps
 
     def batch(self, step: int, count: int) -> Samples:
         generator = _generator(self.seed, step)
@@ -226,13 +211,19 @@ class Patches:
         def below(bound: int) -> int:
             return int(torch.randint(bound, (), generator=generator))
 
-        views = pool[below(len(pool))]
+        def between(low: float, high: float) -> float:
+            return low + (high - low) * float(torch.rand((), generator=generator))
+
+        views, side = pool[below(len(pool))], self.cut.patch
         channels, height, width = views.shape[1:]
-        top, left = below(height - self.patch + 1), below(width - self.patch + 1)
-        window = views[:, below(channels), top : top + self.patch, left : left + self.patch]
-        low, high = self.intensities
-        factor = low + (high - low) * float(torch.rand((), generator=generator))
-        return window.float() * (factor if views.is_floating_point() else factor / 255)
+        top, left = below(height - side + 1), below(width - side + 1)
+        window = views[:, below(channels), top : top + side, left : left + side]
+        factor = between(*self.cut.intensities)
+        values = window if window.is_floating_point() else window.float() / 255
+        if self.cut.gammas == (1.0, 1.0):
+            return values * factor
+        low, high = map(math.log, self.cut.gammas)
+        return values ** math.exp(between(low, high)) * factor
 
 
 class ScenePool:

@@ -24,7 +24,7 @@ import h5py
 import numpy as np
 import pytest
 
-from layerfield import cli, cli_fields
+from layerfield import cli
 from layerfield.version import __version__
 
 COMMAND = Path(sys.executable).with_name("layerfield")
@@ -978,8 +978,9 @@ def test_cuda_where_there_is_none(desk, monkeypatch):
     ],
 )
 def test_nothing_is_read_before_the_options_are_good(desk, monkeypatch, args):
-    for room in (cli, cli_fields):
-        monkeypatch.setattr(room, "load_light_field", lambda *_: pytest.fail("was read"))
+    for room in ("info", "fields"):
+        name = f"layerfield.cli.{room}.load_light_field"
+        monkeypatch.setattr(name, lambda *_: pytest.fail("was read"))
     fails(run(*args))
 
 

@@ -13,7 +13,7 @@ import torch
 from test_cli import fails, run, succeed
 from test_training import TINY
 
-from layerfield import Display, LightField, cli_reproduction, procedural_light_field
+from layerfield import Display, LightField, procedural_light_field
 from layerfield.display_spec import format_spec
 from layerfield.io import load_light_field
 from layerfield.metrics import LayerFigures
@@ -344,8 +344,8 @@ FIGURES = {
 
 
 def test_the_command_rebuilds_everything(tmp_path, monkeypatch, runs, views):
-    monkeypatch.setattr(cli_reproduction, "REPEATS", 1)
-    monkeypatch.setattr(cli_reproduction, "MEMORY", False)
+    monkeypatch.setattr("layerfield.cli.reproduce.REPEATS", 1)
+    monkeypatch.setattr("layerfield.cli.reproduce.MEMORY", False)
     out = tmp_path / "out"
     command = ["reproduce", "gao2024", "--out", out, "--runs", runs, "--field", views]
     said = succeed(*command, "--iterations", "6")

@@ -20,8 +20,6 @@ from layerfield import (
     Display,
     LightField,
     Problem,
-    cli,
-    cli_fields,
     demo,
     evaluate,
     methods,
@@ -444,8 +442,9 @@ def test_wrong_spellings_say_which_part(desk, method, words):
     ],
 )
 def test_nothing_is_read_before_the_method_is_good(desk, stocked, monkeypatch, args):
-    for room in (cli, cli_fields):
-        monkeypatch.setattr(room, "load_light_field", lambda *_: pytest.fail("was read"))
+    for room in ("info", "fields"):
+        name = f"layerfield.cli.{room}.load_light_field"
+        monkeypatch.setattr(name, lambda *_: pytest.fail("was read"))
     fails(run(*args))
 
 

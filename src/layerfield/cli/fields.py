@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 from layerfield.between import given_between, interpolated_between, parse_targets
+from layerfield.cli.refusals import refuse_small
 from layerfield.io import FieldOptions, load_eye_views, load_light_field
 from layerfield.light_field import EyeViews, LightField
-from layerfield.refusals import refuse_small
 
 _SMALLEST = 11  # pixels of a view, the window of SSIM
 

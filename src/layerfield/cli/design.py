@@ -5,14 +5,14 @@ from typing import Annotated
 
 import typer
 
-from layerfield.cli_options import Force, Out, recorded, with_field_options
+from layerfield.cli.options import Force, Out, recorded, with_field_options
+from layerfield.cli.refusals import keep_inputs, refuse_small, refuse_unknown, told_apart
+from layerfield.cli.terminal import print_lines, say, status
 from layerfield.design import LARGEST, design, parse_layers
 from layerfield.io import FieldOptions, load_light_field, refuse_existing, whole_directory
 from layerfield.light_field import LightField
 from layerfield.links import LINKS
 from layerfield.provenance import provenance
-from layerfield.refusals import keep_inputs, refuse_small, refuse_unknown, told_apart
-from layerfield.terminal import print_lines, say, status
 
 _SMALLEST = 16  # pixels of a view; smaller ones have hardly any frequencies
 

@@ -8,11 +8,11 @@ from typing import Annotated
 
 import typer
 
-from layerfield.cli_options import Device, Force, with_field_options
+from layerfield.cli.options import Device, Force, with_field_options
+from layerfield.cli.refusals import refuse_device
+from layerfield.cli.terminal import say, status
 from layerfield.io import FieldOptions, load_light_field
 from layerfield.networks import Network
-from layerfield.refusals import refuse_device
-from layerfield.terminal import say, status
 from layerfield.training.adapt import adaptation
 from layerfield.training.loop import Run, train
 from layerfield.training.recipe import read_recipe

@@ -6,11 +6,11 @@ from typing import Annotated
 
 import typer
 
-from layerfield.cli_options import Force, Out, with_field_options
+from layerfield.cli.options import Force, Out, with_field_options
+from layerfield.cli.refusals import keep_inputs, refuse_small, refuse_unknown, told_apart
+from layerfield.cli.terminal import say, status
 from layerfield.io import FieldOptions, load_light_field, refuse_existing
 from layerfield.light_field import LightField
-from layerfield.refusals import keep_inputs, refuse_small, refuse_unknown, told_apart
-from layerfield.terminal import say, status
 
 REPEATS, MEMORY = 3, True  # how carefully time and memory are measured
 _PAPERS = ("gao2024",)

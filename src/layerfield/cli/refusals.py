@@ -7,7 +7,8 @@ from pathlib import Path
 
 import torch
 
-from layerfield.display import preset_names
+from layerfield.between import parse_targets
+from layerfield.display import Display, preset_names
 from layerfield.io.images import SUFFIXES
 from layerfield.light_field import LightField
 from layerfield.nearest import did_you_mean
@@ -76,3 +77,20 @@ def refuse_small(field: LightField, smallest: int) -> None:
             f"the views of '{field.name}' are {width}x{height} px, expected at least "
             f"{smallest}x{smallest}; take larger ones"
         )
+
+
+def refuse_targets(targets: str | None, displays: list[Display]) -> None:
+    """Refuse targets between viewpoints that make no sense, or displays that have none."""
+    if targets is not None:
+        parse_targets(targets)
+        refuse_lists(displays, "--targets-between")
+
+
+def refuse_lists(displays: list[Display], option: str) -> None:
+    """Refuse displays whose viewpoints are no grid, for an option that needs one."""
+    for display in displays:
+        if display.geometry.grid is None:
+            raise ValueError(
+                f"the viewpoints of display '{display.name}' are a list; {option} needs a grid of "
+                "them ('views')"
+            )

@@ -9,7 +9,7 @@ from typing import NoReturn
 
 import typer
 
-from layerfield.terminal import complain
+from layerfield.cli.terminal import complain
 
 _NO_MEMORY = re.compile("out of memory|allocate memory")  # of PyTorch's RuntimeErrors
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)

@@ -1050,12 +1050,12 @@ def test_out_of_memory(desk, monkeypatch, error):
     def synthesize(*_, **__):
         raise error
 
-    monkeypatch.setattr(cli, "synthesize", synthesize)
+    monkeypatch.setattr("layerfield.cli.synth.synthesize", synthesize)
     fails(run(*SYNTH), "out of memory", "--crop")
 
 
 def test_unforeseen_errors_are_not_hidden(desk, monkeypatch):
-    monkeypatch.setattr(cli, "synthesize", lambda *_, **__: {}["key"])
+    monkeypatch.setattr("layerfield.cli.synth.synthesize", lambda *_, **__: {}["key"])
     with pytest.raises(KeyError):
         run(*SYNTH)
     assert not (desk / "out").exists()
@@ -1064,7 +1064,9 @@ def test_unforeseen_errors_are_not_hidden(desk, monkeypatch):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_an_interrupt_while_it_computes(desk, monkeypatch, number):
     before, handler = contents(desk), signal.getsignal(number)
-    monkeypatch.setattr(cli, "synthesize", lambda *_, **__: os.kill(os.getpid(), number))
+    monkeypatch.setattr(
+        "layerfield.cli.synth.synthesize", lambda *_, **__: os.kill(os.getpid(), number)
+    )
     signal.signal(number, signal.SIG_DFL)  # the tests themselves may run under nohup
     try:
         fails(run(*SYNTH), "interrupted", "nothing is half-written")

@@ -4,8 +4,8 @@
 
 Every network beside the iterations that it is to equal, and followed by three iterations of the
 direct solver. Then the excess error (mean square error over that of the reference, minus 1) on the
-light fields and on procedural test scenes. Where displays are named, rows of others in OUT.json
-stay.
+light fields and on procedural test scenes. All figures are those of light. Where displays are
+named, rows of others in OUT.json stay.
 """
 
 import json
@@ -23,7 +23,7 @@ from layerfield.metrics import excess
 from layerfield.training.sources import scenes
 from layerfield.weights import shipped_networks
 
-PRESETS = ("additive-3", "multiplicative-3", "perspective-3")
+PRESETS = ("additive-3", "multiplicative-3", "perspective-3", "tabletop-additive")
 RIVALS = {"additive": [("nmf", 50), ("nmf", 10)], "multiplicative": [("sweeps", 5)]}
 _TEST = 2**31  # the seed of procedural test scenes
 _SCENES, _SIZE = 8, 128
@@ -60,7 +60,7 @@ def table(title: str, rows: list[Row]) -> None:
     print("reference", *(f"{references[f]:.2f}" for f in fields), sep="\t", end="\t")
     print(f"{mean(references.values()):.2f}")
     for label in dict.fromkeys(row.label for row in rows):
-        found = {row.field: row.figures.psnr for row in rows if row.label == label}
+        found = {row.field: row.figures.psnr_linear for row in rows if row.label == label}
         print(label, *(f"{found[f]:.2f}" for f in fields), f"{mean(found.values()):.2f}", sep="\t")
     print(flush=True)
 

@@ -26,13 +26,12 @@ ITERATIONS = (20, 100)
 
 
 def polarisation(field: LightField) -> dict:
-    problem = pose(field, Display.load("polarisation-3"))
-    (found,) = after(field, Display.load("polarisation-3"), (10,)).values()
-    best = reference(problem)
-    return {"10": found, "best_known": best.psnr, "reached_by": best.method}
+    display = Display.load("polarisation-3")
+    best = reference(pose(field, display))
+    return after(field, display, (10,)) | {"best_known": best.psnr, "reached_by": best.method}
 
 
-def after(field: LightField, display: Display, iterations: tuple[int, ...]) -> dict[str, float]:
+def after(field: LightField, display: Display, iterations: tuple[int, ...]) -> dict:
     """Return the PSNR of the direct solver after each of these numbers of iterations, dB."""
     run = solve(pose(field, display), FourierStart(), iterations=max(iterations), history=True)
     return {str(n): decibels(run.history[n - 1].mean_square_error) for n in iterations}

@@ -97,24 +97,21 @@ def _times(problem: Problem, solver, best: float) -> dict:
 
 
 def main(out: Path, names: list[str]) -> None:
-    additive, multiplicative = (
-        Display.load(f"{link}-3") for link in ("additive", "multiplicative")
-    )
+    displays = [Display.load(preset) for preset in ("additive-3", "multiplicative-3")]
     fields = five_fields()
-    found: dict[str, dict] = {}
+    found: dict[str, dict] = {name: {"size": field.size} for name, field in fields.items()}
     record = {"made_with": provenance(torch.device("cpu")), "fields": found}
 
-    def keep(name: str, *what: str, figures: dict) -> None:
-        print(name, *what, json.dumps(figures), flush=True)
-        found.setdefault(name, {}).update({what[0]: figures} if what else figures)
+    def keep(name: str, figures: dict) -> None:
+        found[name] |= figures
+        print(name, json.dumps(figures), flush=True)
         out.write_text(json.dumps(record, indent=1) + "\n", "utf-8")
 
     for name, field in fields.items():
-        ratios = direct_against_floor_and_network(field, additive)
-        keep(name, figures={"size": field.size} | ratios)
+        keep(name, direct_against_floor_and_network(field, displays[0]))
     for name in names or fields:
-        for display in (additive, multiplicative):
-            keep(name, display.name, figures=time_to_quality(fields[name], display))
+        for display in displays:
+            keep(name, {display.name: time_to_quality(fields[name], display)})
 
 
 if __name__ == "__main__":

@@ -49,8 +49,7 @@ class Cut(_Table):
         patch: height and width of a patch, pixels.
         intensities: the lowest and the highest factor.
         gammas: the lowest and the highest exponent of the values, before the factor: the same
-            scene with other tones. Photographs have deeper blacks beside bright pixels than the
-            scenes do, and where a display has a transfer, light has all the more.
+            scene with other tones, as deeper blacks beside bright pixels. 1 and 1 leave them.
         steps: of an epoch.
     """
 

@@ -162,7 +162,9 @@ def _optimum(problem: Problem, tick: Callable[[str], None] | None) -> Reference:
 def _best_known(problem: Problem, tick: Callable[[str], None] | None) -> Reference:
     """Sweep from three starts to stagnation, then try gradients from the best of them."""
     starts = {
-        "log start": solve(problem, NearestShifts(FourierStart()), iterations=0).layers,
+        "log start": solve(
+            problem, NearestShifts(FourierStart.suited(problem.link)), iterations=0
+        ).layers,
         "even start": _even_start(problem),
         "flat start": problem.flat_start(),
     }

@@ -63,7 +63,7 @@ _SOLVERS = (
         "direct solver in the Fourier domain; on other than additive displays followed by sweeps",
         10,
         _ANY,
-        lambda link: FourierAdmm() if link.is_sum else FourierStart(),
+        lambda link: FourierAdmm() if link.is_sum else FourierStart.suited(link),
         lambda _: NearestShifts(),
     ),
     _any_distance("gradient", "accelerated projected gradients", 100, _ANY, Gradient()),
@@ -80,7 +80,7 @@ _SOLVERS = (
         "fourier-admm, then sweeps that judge encoded values, where a display has a transfer",
         5,
         _ANY,
-        lambda link: FourierAdmm() if link.is_sum else FourierStart(),
+        lambda link: FourierAdmm() if link.is_sum else FourierStart.suited(link),
     ),
 )
 _NETWORKS = (

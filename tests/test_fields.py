@@ -10,7 +10,8 @@ import pytest
 import torch
 
 from layerfield import Display, FieldOptions, load_light_field, psnr, reference, synthesize
-from layerfield.result import make_result, read_layers, simulate, write_result
+from layerfield.result import make_result, write_result
+from layerfield.stored_result import read_layers, simulate
 from layerfield.synthesizer import pose
 
 pytestmark = pytest.mark.fields

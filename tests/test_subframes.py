@@ -14,10 +14,11 @@ from layerfield import Display, LightField, procedural_light_field, synthesize
 from layerfield.display_spec import DisparitySpec, format_spec
 from layerfield.evaluate import evaluate
 from layerfield.metrics import psnr
-from layerfield.result import read_layers, write_views
+from layerfield.result import write_views
 from layerfield.solve import solve
 from layerfield.solvers.ntf import Ntf
 from layerfield.solvers.sweeps import Sweeps, best_layer
+from layerfield.stored_result import read_layers
 from layerfield.synthesizer import SOLVERS, pose
 
 NONLINEAR = ["multiplicative", "polarisation"]

@@ -14,7 +14,8 @@ from layerfield.eyes import Eye, look, write_eyes
 from layerfield.io import refuse_existing, whole_directory
 from layerfield.panels import largest_code
 from layerfield.remarks import made_for_another_transfer
-from layerfield.result import (
+from layerfield.result import write_views, write_views_array
+from layerfield.stored_result import (
     display_of,
     margin_of,
     mount,
@@ -22,8 +23,6 @@ from layerfield.result import (
     read_panels,
     simulate_panels,
     view_size_of,
-    write_views,
-    write_views_array,
 )
 
 _EYE = "X,Y[,Z] in mm, or X,Y in view steps: what an eye there sees; repeatable"

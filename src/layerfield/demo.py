@@ -54,7 +54,7 @@ def run_demo(
             display = Display.load(name)
             rows += evaluate([field], [display], _methods(display), tick=tick)
             result = _solve(field, display)
-            write_result(temporary / name, result, simulate=True)
+            write_result(temporary / name, result, simulate=True, targets=field)
             strips += _strips(field, display, result)
         write_views(temporary / "field", field.views, Display.load("additive-3"), 8)
         write_rows(temporary / "result.json", rows)

@@ -21,6 +21,7 @@ from layerfield.methods import NetworkMethod
 from layerfield.metrics import (
     LayerFigures,
     excess,
+    finite,
     interior,
     layer_figures,
     mean_square_error,
@@ -49,6 +50,7 @@ class Figures:
         psnr_view_min: of the worst view, dB.
         psnr_view_max: of the best view, dB.
         psnr_view_std: standard deviation over views, dB.
+        psnr_by_view: of every view, row by row from the top left, dB.
         layers: mean, standard deviation, gradient energy and peak of every layer, front to back.
     """
 
@@ -59,6 +61,7 @@ class Figures:
     psnr_view_min: float
     psnr_view_max: float
     psnr_view_std: float
+    psnr_by_view: list[float]
     layers: list[LayerFigures]
 
 
@@ -75,6 +78,7 @@ def figures(layers: Tensor, field: LightField, display: Display) -> Figures:
         psnr_view_min=min(by_view),
         psnr_view_max=max(by_view),
         psnr_view_std=_spread(by_view),
+        psnr_by_view=by_view,
         layers=layer_figures(layers),
     )
 
@@ -276,10 +280,7 @@ def _warm_up(field: LightField, display: Display, job: _Job) -> None:
 
 def write_rows(path: Path, rows: Sequence[Row]) -> None:
     """Write rows as a JSON list of records; a perfect figure, infinite in dB, becomes null."""
-    records = [
-        {key: None if value in (math.inf, -math.inf) else value for key, value in record.items()}
-        for record in (row.as_record() for row in rows)
-    ]
+    records = [finite(row.as_record()) for row in rows]
     path.write_text(json.dumps(records, indent=2), "utf-8")
 
 

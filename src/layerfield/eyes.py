@@ -1,6 +1,5 @@
 """Eyes anywhere in front of a display, as users name them, and what they see."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ from layerfield.display import Display
 from layerfield.geometry import Point
 from layerfield.io import write_png
 from layerfield.light_field import EyeViews
-from layerfield.metrics import decibels, mean_square_error
+from layerfield.metrics import decibels, finite, mean_square_error
 from layerfield.panels import quantise
 
 _FARTHEST = 1e6  # a kilometre; farther eyes come from mistaken units
@@ -116,9 +115,5 @@ def judge_eyes(
         errors[position] = mean_square_error(seen, view)
     between = [errors[eye] for eye in positions_between(around.positions, display.geometry.grid)]
     pooled = sum(between) / len(between) if between else 0.0
-    by_eye = tuple(EyeFigure(x, y, _finite(decibels(error))) for (x, y), error in errors.items())
-    return EyeFigures(_finite(decibels(pooled)), by_eye)
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+    by_eye = tuple(EyeFigure(x, y, finite(decibels(error))) for (x, y), error in errors.items())
+    return EyeFigures(finite(decibels(pooled)), by_eye)

@@ -5,7 +5,8 @@ clipped.
 """
 
 import math
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -19,6 +20,19 @@ Views = Float[Tensor, "view c y x"]
 def decibels(mean_square_error: float) -> float:
     """Return the PSNR of a mean square error for peak 1; infinite for 0."""
     return math.inf if mean_square_error == 0 else -10 * math.log10(mean_square_error)
+
+
+def finite(record: Any) -> Any:
+    """Return figures as JSON can hold them: infinite ones, of what is exact, become None.
+
+    >>> finite({"psnr": math.inf, "psnr_by_view": [30.0, math.inf]})
+    {'psnr': None, 'psnr_by_view': [30.0, None]}
+    """
+    if isinstance(record, Mapping):
+        return {key: finite(value) for key, value in record.items()}
+    if isinstance(record, list | tuple):
+        return [finite(value) for value in record]
+    return None if isinstance(record, float) and not math.isfinite(record) else record
 
 
 def mean_square_error(views: Tensor, target: Tensor) -> float:

@@ -7,11 +7,11 @@ OUT/panels/panel_0.png ...   codes of the panels, if the display has any, in the
 OUT/display.toml             the display they are for
 OUT/result.json              method, figures, margin, versions
 OUT/views/view_RR_CC.png     what viewers see, if asked for
+OUT/targets/view_RR_CC.png   what they should see, if asked for
 """
 
 import dataclasses
 import json
-import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -26,7 +26,7 @@ from layerfield.display_spec import format_spec
 from layerfield.evaluate import Figures, figures
 from layerfield.io import whole_directory, write_png
 from layerfield.light_field import LightField
-from layerfield.metrics import decibels, excess, mean_square_error, psnr
+from layerfield.metrics import decibels, excess, finite, mean_square_error, psnr
 from layerfield.panel_images import PanelImages, panel_images, views_through_panels
 from layerfield.panels import dequantise, quantise
 from layerfield.provenance import provenance
@@ -102,8 +102,8 @@ def make_result(
         "made_with": provenance(field.views.device),
         **_quality(figures(layers, field, display)),
         **_observed(layers, field, display, solved.weights[: display.view_count]),
-        "reference": reference and asdict(reference) | {"psnr": _finite(reference.psnr)},
-        "excess": reference and _finite(excess(error, reference.mean_square_error)),
+        "reference": reference and asdict(reference) | {"psnr": finite(reference.psnr)},
+        "excess": reference and finite(excess(error, reference.mean_square_error)),
     }
     if panels is None:
         return Result(codes, display, facts)
@@ -120,7 +120,7 @@ def _observed(
     seen = display.transfer.encode(display(layers))
     errors = [mean_square_error(s, v) for s, v in zip(seen, field.views, strict=True)]
     pooled = sum(w * e for w, e in zip(weights, errors, strict=True)) / sum(weights)
-    return {"psnr_observers": _finite(decibels(pooled))}
+    return {"psnr_observers": finite(decibels(pooled))}
 
 
 def _panel_figures(panels: PanelImages, field: LightField, display: Display) -> dict[str, Any]:
@@ -130,11 +130,16 @@ def _panel_figures(panels: PanelImages, field: LightField, display: Display) -> 
         "psnr": psnr(display.transfer.encode(light), field.views),
         "psnr_linear": psnr(light, display.transfer.decode(field.views)),
     }
-    return {key: _finite(value) for key, value in found.items()} | {"missed": panels.missed}
+    return finite(found) | {"missed": panels.missed}
 
 
 def write_result(
-    folder: str | Path, result: Result, *, simulate: bool = False, force: bool = False
+    folder: str | Path,
+    result: Result,
+    *,
+    simulate: bool = False,
+    targets: LightField | None = None,
+    force: bool = False,
 ) -> None:
     """Write a result, whole or not at all.
 
@@ -142,6 +147,7 @@ def write_result(
         folder: to be made.
         result: what to write.
         simulate: write the views that the layers show, too.
+        targets: what the layers are to show, if it is to be written, too.
         force: replace an earlier result of this name.
 
     Raises:
@@ -156,6 +162,9 @@ def write_result(
         if simulate:
             views = _views_of(result)
             write_views(temporary / "views", views, result.display, result.facts["bits"])
+        if targets is not None:
+            bits = 8 if targets.bits is not None and targets.bits <= 8 else 16
+            write_views(temporary / "targets", targets.views, result.display, bits)
 
 
 def _write_pictures(
@@ -201,10 +210,4 @@ def _hyper_parameters(solution: Solution) -> dict[str, Any]:
 
 
 def _quality(found: Figures) -> dict[str, Any]:
-    record = asdict(found) | {"layers": [layer._asdict() for layer in found.layers]}
-    return {key: _finite(value) for key, value in record.items()}
-
-
-def _finite(value: Any) -> Any:
-    """JSON has no infinity: a perfect figure becomes None."""
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    return finite(asdict(found) | {"layers": [layer._asdict() for layer in found.layers]})

@@ -3,16 +3,110 @@
 import json
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.display import Display
-from layerfield.io import read_image
+from layerfield.io import load_light_field, read_image
 from layerfield.io.images import SUFFIXES
+from layerfield.light_field import LightField
 from layerfield.panel_images import views_through_panels
+
+
+@dataclass(frozen=True, eq=False)
+class StoredResult:
+    """A result of `synth` as it lies on disk, or a plain folder of layer images.
+
+    Args:
+        name: of its folder.
+        display: what the layers are for.
+        layers: encoded values as in the files, 0 to 1, front to back.
+        margin: pixels (y, x) by which they exceed the views on each side.
+        facts: what result.json holds; nothing for a plain folder.
+        targets: the views that were aimed at, encoded as in their files; None if not at hand.
+    """
+
+    name: str
+    display: Display
+    layers: Float[Tensor, "subframe layer c ly lx"]
+    margin: tuple[int, int]
+    facts: dict[str, Any]
+    targets: Float[Tensor, "view c y x"] | None = None
+
+    @property
+    def view_size(self) -> tuple[int, int]:
+        """Height and width of a view in pixels."""
+        (height, width), (y, x) = self.layers.shape[-2:], self.margin
+        return height - 2 * y, width - 2 * x
+
+    def light(self) -> Float[Tensor, "subframe layer c ly2 lx2"]:
+        """Return the light of the layers, with the margin of the display; see `mount`."""
+        return mount(self.layers, self.display, self.margin)
+
+    def views(self) -> Float[Tensor, "view c y x"]:
+        """Return what viewers see of the layers, unclipped, encoded as the files are."""
+        return simulate(self.layers, self.display, self.margin)
+
+
+def open_result(
+    folder: str | Path, field: LightField | None = None, display: Display | None = None
+) -> StoredResult:
+    """Open a result of `synth`, or a plain folder of layer images.
+
+    Args:
+        folder: of it.
+        field: what it was made of; `targets` in the folder if not given.
+        display: what shows the layers; that of the folder if not given.
+
+    Raises:
+        ValueError: no layers, no display, layers of another display, or views that are not those
+            the layers show.
+    """
+    folder = Path(folder)
+    layers, shown_on = read_layers(folder), display or display_of(folder)
+    if shown_on is None:
+        raise ValueError(f"{folder} holds no display.toml; say which display with --display")
+    targets = None if field is None else field.views
+    if targets is None and (folder / "targets").is_dir():
+        targets = load_light_field(folder / "targets").views
+    result = StoredResult(
+        name=folder.resolve().name,
+        display=shown_on,
+        layers=layers,
+        margin=margin_of(folder) or shown_on.margin,
+        facts=_facts(folder),
+        targets=targets,
+    )
+    seen = (shown_on.view_count, result.light().shape[-3], *result.view_size)
+    if targets is not None and targets.shape != seen:
+        raise ValueError(
+            f"{folder} shows {_described(seen)}, the light field beside it holds "
+            f"{_described(tuple(targets.shape))}; give the one that it was made of"
+        )
+    return result
+
+
+def _described(shape: tuple[int, ...]) -> str:
+    count, channels, height, width = shape
+    return f"{count} views of {width}x{height} px {'grey' if channels == 1 else 'in colour'}"
+
+
+def _facts(folder: Path) -> dict[str, Any]:
+    path = folder / "result.json"
+    if not path.is_file():
+        return {}
+    try:
+        match json.loads(path.read_text("utf-8")):
+            case dict(facts):
+                return facts
+    except (OSError, ValueError, RecursionError):
+        pass
+    raise ValueError(f"{path} is not what synth writes; make the result anew")
 
 
 def read_layers(folder: str | Path) -> Float[Tensor, "subframe layer c ly lx"]:

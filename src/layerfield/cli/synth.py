@@ -56,6 +56,9 @@ def synth_command(
     simulate_views: Annotated[
         bool, typer.Option("--simulate", help="write the views that the layers show, too")
     ] = False,
+    write_targets: Annotated[
+        bool, typer.Option("--targets", help="write the views that were aimed at, too")
+    ] = False,
     compare: Annotated[
         bool, typer.Option("--reference", help="compute the optimum (or best known) to compare")
     ] = False,
@@ -108,7 +111,8 @@ def synth_command(
             reference=known,
             options=recorded(options, targets_between, observers),
         )
-        write_result(out, result, simulate=simulate_views, force=force)
+        targets = loaded if write_targets else None
+        write_result(out, result, simulate=simulate_views, targets=targets, force=force)
     for remark in values_taken_for_light(loaded, target):
         say(remark)
     report(out, loaded, result.facts)

@@ -143,9 +143,12 @@ def test_the_readme_opens_with_the_two_commands():
 
 
 def runs(commands: list[str]) -> None:
+    """Run commands; `view` would serve for ever, so it writes what it would serve."""
     for command in commands:
         name, *words = shlex.split(command)
         assert name == "layerfield"
+        if words[0] == "view" and "--export" not in words:
+            words += ["--export", "served.html", "--force"]
         done = run(*words)
         assert done.status == 0, f"{command}\n{done.err}"
 
@@ -204,6 +207,11 @@ PAGES = {
     "displays.md": ("three-in-time.toml", "for-the-middle/layers"),
     "panels.md": ("my-prototype.toml", "prototype/panels"),
 }
+
+
+def test_every_command_of_the_page_on_the_viewer_runs(my_views):
+    runs(commands_in((ROOT / "docs" / "viewer.md").read_text("utf-8")))
+    assert Path("page.html").stat().st_size > 100_000
 
 
 @pytest.mark.parametrize("name", PAGES)

@@ -79,7 +79,7 @@ def open_result(
         display=shown_on,
         layers=layers,
         margin=margin_of(folder) or shown_on.margin,
-        facts=_facts(folder),
+        facts=facts_of(folder),
         targets=targets,
     )
     seen = (shown_on.view_count, result.light().shape[-3], *result.view_size)
@@ -96,8 +96,13 @@ def _described(shape: tuple[int, ...]) -> str:
     return f"{count} views of {width}x{height} px {'grey' if channels == 1 else 'in colour'}"
 
 
-def _facts(folder: Path) -> dict[str, Any]:
-    path = folder / "result.json"
+def facts_of(folder: str | Path) -> dict[str, Any]:
+    """Return what result.json holds; nothing for a plain folder of layers.
+
+    Raises:
+        ValueError: a result.json that is none.
+    """
+    path = Path(folder) / "result.json"
     if not path.is_file():
         return {}
     try:

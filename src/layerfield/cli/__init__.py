@@ -16,6 +16,7 @@ from layerfield.cli.simulate import simulate_command
 from layerfield.cli.synth import synth_command
 from layerfield.cli.terminal import print_tables, say, status
 from layerfield.cli.train import train_command
+from layerfield.cli.view import view_command
 from layerfield.demo import run_demo
 from layerfield.version import __version__
 
@@ -48,6 +49,7 @@ app.command(name="info")(info_command)
 app.command(name="synth")(synth_command)
 app.command(name="simulate")(simulate_command)
 app.command(name="evaluate")(evaluate_command)
+app.command(name="view")(view_command)
 app.command(name="displays")(displays)
 app.command(name="methods")(methods)
 app.command(name="design")(design_command)

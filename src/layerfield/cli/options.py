@@ -2,7 +2,6 @@
 
 import inspect
 from collections.abc import Callable
-from dataclasses import fields
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any
@@ -72,8 +71,7 @@ def recorded(
     options: FieldOptions, targets_between: str | None = None, observers: str | None = None
 ) -> dict[str, Any]:
     """Return the options that say what was read and aimed at, where they are not the default."""
-    between = {} if targets_between is None else {"targets-between": targets_between}
+    aims = {} if targets_between is None else {"targets-between": targets_between}
     if observers is not None:
-        between |= {"observers": Path(observers).name}
-    changed = (f.name for f in fields(options) if getattr(options, f.name) != f.default)
-    return {"options": {name: str(getattr(options, name)) for name in changed} | between}
+        aims |= {"observers": Path(observers).name}
+    return {"options": options.written() | aims}

@@ -5,6 +5,8 @@ import os
 import re
 import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from typing import NoReturn
 
 import typer
@@ -31,6 +33,13 @@ def run(app: typer.Typer) -> NoReturn:
 
 class _Interrupted(BaseException):
     """A signal asked to stop. Typer would turn a KeyboardInterrupt into an exit of its own."""
+
+
+@contextmanager
+def until_interrupted() -> Iterator[None]:
+    """Let a signal end what would go on for ever; that is no error."""
+    with suppress(_Interrupted):
+        yield
 
 
 def _prepare() -> None:

@@ -119,21 +119,27 @@ def write_png(path: str | Path, pixels: np.ndarray | Tensor) -> None:
     Raises:
         ValueError: another shape or type, or the file cannot be written.
     """
+    content = png(pixels, str(path))
+    try:
+        Path(path).write_bytes(content)
+    except OSError as error:
+        raise ValueError(f"cannot write {path}: {error.strerror}") from None
+
+
+def png(pixels: np.ndarray | Tensor, name: str = "a picture") -> bytes:
+    """Return the bytes of an 8 or 16 bit PNG; arguments and errors as in `write_png`."""
     array = pixels.detach().cpu().numpy() if isinstance(pixels, Tensor) else pixels
     if array.dtype not in (np.uint8, np.uint16):
         raise ValueError(
-            f"found {array.dtype} for {path}, expected uint8 or uint16; quantise first"
+            f"found {array.dtype} for {name}, expected uint8 or uint16; quantise first"
         )
     if array.ndim != 3 or array.shape[0] not in (1, 3) or 0 in array.shape:
-        raise ValueError(f"found shape {array.shape} for {path}, expected [1 or 3, y, x]")
+        raise ValueError(f"found shape {array.shape} for {name}, expected [1 or 3, y, x]")
     blue_first = np.ascontiguousarray(np.moveaxis(array[::-1], 0, -1))
     done, data = cv2.imencode(".png", blue_first)
     if not done:
-        raise ValueError(f"cannot encode {path} as PNG")
-    try:
-        Path(path).write_bytes(data.tobytes())
-    except OSError as error:
-        raise ValueError(f"cannot write {path}: {error.strerror}") from None
+        raise ValueError(f"cannot encode {name} as PNG")
+    return data.tobytes()
 
 
 def _read_bytes(path: Path) -> bytes:

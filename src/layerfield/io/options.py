@@ -2,9 +2,9 @@
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from typing import TypeVar
+from typing import Any, TypeVar
 
 Grid = tuple[int, int]
 _Parsed = TypeVar("_Parsed")
@@ -73,6 +73,10 @@ class Crop:
         corner = None if match[3] is None else (int(match[3]), int(match[4]))
         return cls(int(match[1]), int(match[2]), corner)
 
+    def __str__(self) -> str:
+        corner = "" if self.corner is None else f"+{self.corner[0]}+{self.corner[1]}"
+        return f"{self.width}x{self.height}{corner}"
+
 
 @dataclass(frozen=True)
 class Quilt:
@@ -92,6 +96,9 @@ class Quilt:
                 "as 8x6 or 8x6a0.75"
             )
         return cls(int(match[1]), int(match[2]), float(match[3]) if match[3] else None)
+
+    def __str__(self) -> str:
+        return f"{self.columns}x{self.rows}" + ("" if self.aspect is None else f"a{self.aspect:g}")
 
 
 QUILT_LAYOUT = r"(\d{1,4})x(\d{1,4})(?:a(\d+(?:\.\d+)?))?"
@@ -198,6 +205,29 @@ class FieldOptions:
             quilt=_parse(Quilt.parse, quilt),
             lenslet=_parse(lambda text: _whole("lenslet", text), lenslet),
         )
+
+    def written(self) -> dict[str, str]:
+        """Return the options that are not the default, as `parse` takes them.
+
+        >>> FieldOptions(views=(5, 5), shift=0.5).written()
+        {'views': '5x5', 'shift': '0.5'}
+        """
+        changed = [f.name for f in fields(self) if getattr(self, f.name) != f.default]
+        return {name: _written(getattr(self, name)) for name in changed}
+
+    @classmethod
+    def as_recorded(cls, options: Mapping[str, Any]) -> "FieldOptions":
+        """Return the options among those that a result has recorded.
+
+        Raises:
+            ValueError: as `parse` does.
+        """
+        known = {f.name for f in fields(cls)}
+        return cls.parse(**{name: str(text) for name, text in options.items() if name in known})
+
+
+def _written(value: Any) -> str:
+    return f"{value[0]}x{value[1]}" if isinstance(value, tuple) else str(value)
 
 
 def _parse(parser: Callable[[str], _Parsed], value: str | float | None) -> _Parsed | None:

@@ -58,6 +58,13 @@ class Cut(_Table):
     gammas: tuple[Positive, Positive] = (1.0, 1.0)
     steps: Count = 100
 
+    @model_validator(mode="after")
+    def _lowest_first(self):
+        for name, (low, high) in (("intensities", self.intensities), ("gammas", self.gammas)):
+            if low > high:
+                raise ValueError(f"'{name}' is [{low:g}, {high:g}], expected the lower one first")
+        return self
+
 
 class DrawnScenes(Cut):
     """Procedural scenes without end: patches of a pool in which new scenes replace old ones.

@@ -5,6 +5,7 @@ import { distanceOf, extent } from "layerfield/optics.js";
 const BEYOND = 1.5; // times the synthesized range
 const STRONGEST = 0.03; // change of a layer's magnification at the nearest distance
 const STEP = 0.1; // of half the range, a key
+const PUPILS = 0.063; // metres between the two eyes of a viewer
 const PERIOD = 6; // seconds of a sway
 
 export class Eye {
@@ -28,8 +29,9 @@ export class Eye {
     this.nearness = { usual, most: front ? Math.min(nearest, 0.9 / front) : nearest };
     this.moveTo(...(this.slope ?? centre), this.inverse ?? usual);
     const steps = Math.max(...(display.grid ?? [2, 2])) - 1 || 1;
-    this.apart = (2 * widest) / steps;
-    this.widest = 2 * widest;
+    const known = display.physical && usual > 0; // else a view step
+    this.apart = known ? PUPILS * usual : (2 * widest) / steps;
+    this.widest = Math.max(2 * widest, 2 * this.apart);
   }
 
   moveTo(x, y, inverse = this.inverse) {

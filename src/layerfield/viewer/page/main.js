@@ -194,7 +194,7 @@ class Page {
     range($("near"), 0, 1, eye.inverse / eye.nearness.most);
     $("near-says").textContent = far(display, eye.distance);
     range($("apart"), 0, eye.widest, eye.apart);
-    $("apart-says").textContent = position(display, eye.apart, 0);
+    $("apart-says").textContent = separation(display, eye.apart);
     range($("layer"), 0, display.depths.length - 1, this.layer);
     $("layer-says").textContent = `${this.layer}${this.layer ? "" : " (nearest)"}`;
     range($("subframe"), 0, display.subframes - 1, this.subframe);
@@ -273,6 +273,11 @@ function range(input, min, max, value) {
 function position(display, slope, axis) {
   if (display.step) return `${signed(slope / display.step[axis], 2)} views`;
   return `${signed((Math.atan(slope) * 180) / Math.PI, 1)}°`;
+}
+
+function separation(display, slope) {
+  if (display.physical && display.distance) return `${(1000 * slope * display.distance).toFixed(0)} mm`;
+  return position(display, slope, 0).replace("+", "");
 }
 
 function signed(value, digits) {

@@ -63,10 +63,10 @@ def test_lower_rooms_do_not_import_higher_ones():
         "version", "nearest", "own_process", "toml_model", "geometry", "light_field", "projection",
         "warped_projection", "panel_projection", "gram", "links", "composition", "transfer",
         "panel_spec", "display_spec", "display", "panels", "solve", "between", "tone", "solvers",
-        "panel_images", "networks", "metrics", "provenance", "scenes", "io", "eyes", "plane_sweep",
-        "disparity", "weights", "methods", "synthesizer", "reference", "evaluate", "remarks",
-        "observers", "result", "spectrum", "design", "training", "report", "demo", "reproduction",
-        "cli", "__main__",
+        "panel_images", "networks", "metrics", "provenance", "scenes", "io", "eyes", "animation",
+        "plane_sweep", "disparity", "weights", "methods", "synthesizer", "reference", "evaluate",
+        "remarks", "observers", "result", "spectrum", "design", "training", "report", "demo",
+        "reproduction", "cli", "__main__",
     ]  # fmt: skip
     source = ROOT / "src" / "layerfield"
     for file in source.rglob("*.py"):

@@ -1,7 +1,5 @@
 """The command `evaluate`."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -15,6 +13,7 @@ from layerfield.cli.options import (
     TargetsBetween,
     with_field_options,
 )
+from layerfield.cli.outputs import file_or_nothing
 from layerfield.cli.refusals import (
     keep_inputs,
     own_file,
@@ -26,7 +25,7 @@ from layerfield.cli.refusals import (
 from layerfield.cli.terminal import print_tables, say, status
 from layerfield.display import Display
 from layerfield.evaluate import evaluate, parse_methods, write_rows
-from layerfield.io import FieldOptions, whole_file
+from layerfield.io import FieldOptions
 from layerfield.panels import largest_code
 from layerfield.remarks import values_taken_for_light
 from layerfield.synthesizer import find_method, pose
@@ -75,7 +74,10 @@ def evaluate_command(
         for path, field in zip(paths, loaded, strict=True)
         if between or eye_map_file is not None
     ]
-    with _file_or_nothing(json, force) as path, _file_or_nothing(eye_map_file, force) as picture:
+    with (
+        file_or_nothing(json, force=force) as path,
+        file_or_nothing(eye_map_file, force=force) as picture,
+    ):
         with status(total=len(loaded) * len(models) * (len(chosen) + 1)) as tick:
             rows = evaluate(
                 loaded, models, chosen, bits=bits, isolate=True, around=around, tick=tick
@@ -89,12 +91,3 @@ def evaluate_command(
     for remark in [note for f in loaded for d in models for note in values_taken_for_light(f, d)]:
         say(remark)
     print_tables(rows)
-
-
-@contextmanager
-def _file_or_nothing(path: Path | None, force: bool) -> Iterator[Path | None]:
-    if path is None:
-        yield None
-        return
-    with whole_file(path, force=force) as temporary:
-        yield temporary

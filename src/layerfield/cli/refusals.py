@@ -22,6 +22,13 @@ def refuse_unknown(what: str, name: str, known: Sequence[str]) -> None:
         raise ValueError(f"unknown {what} '{name}'{did_you_mean(name, known)}")
 
 
+def refuse_without(option: str, given: object, others: dict[str, object]) -> None:
+    """Refuse options, by their names, that say nothing unless another one is given."""
+    for name, value in others.items():
+        if given is None and value is not None:
+            raise ValueError(f"--{name} is about what {option} makes; give that, too")
+
+
 def refuse_device(name: str) -> None:
     """Refuse a processor that is not there."""
     refuse_unknown("device", name, _DEVICES)

@@ -65,8 +65,8 @@ def test_lower_rooms_do_not_import_higher_ones():
         "panel_spec", "display_spec", "display", "panels", "solve", "between", "tone", "solvers",
         "panel_images", "networks", "metrics", "provenance", "scenes", "io", "eyes", "animation",
         "plane_sweep", "disparity", "weights", "methods", "synthesizer", "reference", "evaluate",
-        "remarks", "observers", "stored_result", "result", "spectrum", "design", "training", "report", "viewer", "demo",
-        "reproduction", "cli", "__main__",
+        "remarks", "observers", "stored_result", "result", "spectrum", "design", "training",
+        "report", "viewer", "demo", "reproduction", "cli", "__main__",
     ]  # fmt: skip
     source = ROOT / "src" / "layerfield"
     for file in source.rglob("*.py"):

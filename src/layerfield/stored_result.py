@@ -54,7 +54,10 @@ class StoredResult:
 
 
 def open_result(
-    folder: str | Path, field: LightField | None = None, display: Display | None = None
+    folder: str | Path,
+    field: LightField | None = None,
+    display: Display | None = None,
+    margin: int | None = None,
 ) -> StoredResult:
     """Open a result of `synth`, or a plain folder of layer images.
 
@@ -62,6 +65,8 @@ def open_result(
         folder: of it.
         field: what it was made of; `targets` in the folder if not given.
         display: what shows the layers; that of the folder if not given.
+        margin: pixels by which layers exceed the views; as the folder says if not given, and as
+            the display has for plain layers.
 
     Raises:
         ValueError: no layers, no display, layers of another display, or views that are not those
@@ -78,7 +83,7 @@ def open_result(
         name=folder.resolve().name,
         display=shown_on,
         layers=layers,
-        margin=margin_of(folder) or shown_on.margin,
+        margin=(margin_of(folder) or shown_on.margin) if margin is None else (margin, margin),
         facts=facts_of(folder),
         targets=targets,
     )

@@ -29,6 +29,9 @@ def view_command(
     field: Annotated[
         str | None, typer.Option("--field", help="the light field they were made of, to compare")
     ] = None,
+    margin: Annotated[
+        int | None, typer.Option("--margin", help="pixels by which layers exceed the views")
+    ] = None,
     port: Annotated[int, typer.Option("--port", help="to listen on; 0: a free one")] = 0,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="open a browser")] = True,
     export: Annotated[
@@ -40,16 +43,16 @@ def view_command(
     shown_on = None if display is None else Display.load(display)
     if export is not None:
         keep_inputs(export, *folders, own_file(display), field)
-    results = [_opened(folder, field, shown_on) for folder in folders]
+    fields = [None if field is None else _as_recorded(field, folder) for folder in folders]
+    results = [
+        open_result(folder, made_of, shown_on, margin)
+        for folder, made_of in zip(folders, fields, strict=True)
+    ]
     title = " and ".join(result.name for result in results)
     if export is None:
         _serve(results, title, port, browser)
     else:
         _export(export, results, title, force)
-
-
-def _opened(folder: Path, field: str | None, display: Display | None) -> StoredResult:
-    return open_result(folder, None if field is None else _as_recorded(field, folder), display)
 
 
 def _as_recorded(field: str, folder: Path) -> LightField:

@@ -2,7 +2,7 @@
 
 import { Eye } from "layerfield/eye.js";
 import { Result } from "layerfield/loading.js";
-import { Map } from "layerfield/map.js";
+import { ViewMap } from "layerfield/map.js";
 import { nearestView, paths } from "layerfield/optics.js";
 import { drawStack } from "layerfield/stack.js";
 import { Stage } from "layerfield/stage.js";
@@ -27,9 +27,10 @@ const $ = (id) => document.getElementById(id);
 class Page {
   constructor({ results }) {
     this.stage = new Stage($("stage"));
+    this.stage.lost = () => trouble(new Error("The graphics were reset; load the page again."));
     this.results = results.map((description) => new Result(this.stage, description));
     this.eye = new Eye(() => (this.stale = true));
-    this.map = new Map($("map"), $("map-says"), (x, y) => this.eye.goTo(x, y));
+    this.map = new ViewMap($("map"), $("map-says"), (x, y) => this.eye.goTo(x, y));
     this.mode = "simulated";
     this.divider = 0.5;
     this.layer = 0;

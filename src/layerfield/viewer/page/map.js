@@ -6,7 +6,7 @@ const SVG = "http://www.w3.org/2000/svg";
 const SIDE = 100; // of the longer axis of the range, in units of the picture
 const MOST_NUMBERS = 9; // columns; more leave no room for figures
 
-export class Map {
+export class ViewMap {
   constructor(svg, says, goTo) {
     Object.assign(this, { svg, says, goTo });
   }

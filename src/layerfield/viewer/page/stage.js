@@ -11,6 +11,7 @@ export class Stage {
     const options = { alpha: false, antialias: false, preserveDrawingBuffer: true };
     this.gl = canvas.getContext("webgl2", options);
     if (!this.gl) throw new Error("This browser offers no WebGL2, which the simulation needs.");
+    canvas.addEventListener("webglcontextlost", () => this.lost?.());
     this.gl.pixelStorei(this.gl.UNPACK_COLORSPACE_CONVERSION_WEBGL, this.gl.NONE);
     this.gl.pixelStorei(this.gl.UNPACK_ALIGNMENT, 1);
     this.program = this.compiled();

@@ -2,7 +2,6 @@
 
 import inspect
 from collections.abc import Callable
-from dataclasses import fields
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any
@@ -75,5 +74,4 @@ def recorded(
     between = {} if targets_between is None else {"targets-between": targets_between}
     if observers is not None:
         between |= {"observers": Path(observers).name}
-    changed = (f.name for f in fields(options) if getattr(options, f.name) != f.default)
-    return {"options": {name: str(getattr(options, name)) for name in changed} | between}
+    return {"options": options.written() | between}

@@ -73,6 +73,10 @@ class Crop:
         corner = None if match[3] is None else (int(match[3]), int(match[4]))
         return cls(int(match[1]), int(match[2]), corner)
 
+    def __str__(self) -> str:
+        size = f"{self.width}x{self.height}"
+        return size if self.corner is None else f"{size}+{self.corner[0]}+{self.corner[1]}"
+
 
 @dataclass(frozen=True)
 class Quilt:
@@ -92,6 +96,9 @@ class Quilt:
                 "as 8x6 or 8x6a0.75"
             )
         return cls(int(match[1]), int(match[2]), float(match[3]) if match[3] else None)
+
+    def __str__(self) -> str:
+        return f"{self.columns}x{self.rows}" + ("" if self.aspect is None else f"a{self.aspect}")
 
 
 QUILT_LAYOUT = r"(\d{1,4})x(\d{1,4})(?:a(\d+(?:\.\d+)?))?"
@@ -198,6 +205,19 @@ class FieldOptions:
             quilt=_parse(Quilt.parse, quilt),
             lenslet=_parse(lambda text: _whole("lenslet", text), lenslet),
         )
+
+    def written(self) -> dict[str, str]:
+        """Return what differs from the default as `parse` takes it.
+
+        >>> FieldOptions.parse(views="5x5", crop="16x12+3+0").written()
+        {'views': '5x5', 'crop': '16x12+3+0'}
+        """
+        given = ((f, getattr(self, f.name)) for f in fields(self))
+        return {f.name: _text(value) for f, value in given if value != f.default}
+
+
+def _text(value: object) -> str:
+    return f"{value[0]}x{value[1]}" if isinstance(value, tuple) else str(value)
 
 
 def _parse(parser: Callable[[str], _Parsed], value: str | float | None) -> _Parsed | None:

@@ -171,7 +171,7 @@ def means_chart(means: Sequence[float]) -> Figure:
 def shares(means: Sequence[float]) -> list[float]:
     """Return the parts of their sum; nothing of nothing.
 
-    >>> shares([0.1, 0.3]), shares([0.0])
+    >>> shares([1.0, 3.0]), shares([0.0])
     ([0.25, 0.75], [0.0])
     """
     total = sum(means)

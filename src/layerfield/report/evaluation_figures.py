@@ -31,7 +31,8 @@ def frontier_chart(rows: Sequence[RowFacts], name: str) -> Chart:
     figure = chart("", [panel], log_y=compared, size=_SIZE)
     _finish(figure, rows, compared)
     best = "lower left" if compared else "upper left"
-    floor = f" Errors of {_NEAREST} % and less are drawn at {_NEAREST} %." if compared else ""
+    near = compared and any(100 * (row.excess or 0) < _NEAREST for row in rows)
+    floor = f" Errors of less than {_NEAREST} % are drawn at {_NEAREST} %." if near else ""
     return Chart(
         name,
         figure,

@@ -30,7 +30,7 @@ def evaluation_page(rows: Sequence[RowFacts]) -> Page:
 
 def _summary(rows: Sequence[RowFacts]) -> str:
     methods, fields, displays = (
-        len({getattr(row, key) for row in rows}) for key in ("title", "field", "display")
+        len({getattr(row, key) for row in rows}) for key in ("method", "field", "display")
     )
     return (
         f"{_counted(methods, 'method')} on {_counted(fields, 'light field')} and "

@@ -134,6 +134,12 @@ def desk(tmp_path, monkeypatch, result, rows) -> Path:
     return tmp_path
 
 
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Charts are made, but drawing them, which takes most of the time, is left to other tests."""
+    monkeypatch.setattr("layerfield.report.page.svg", lambda _: "<svg></svg>")
+
+
 # ------------------------------------------------------------------------------------- results
 
 
@@ -168,7 +174,7 @@ def test_the_same_result_gives_the_same_bytes(result, page):
     assert page_of(result) == page
 
 
-def test_without_targets_the_page_says_what_to_do(tmp_path):
+def test_without_targets_the_page_says_what_to_do(tmp_path, undrawn):
     page = page_of(make(tmp_path / "out", SMALL, targets=False))
     assert "Error of" not in page
     for words in ("synth --targets", "report --field", "synth --history", "synth --reference"):
@@ -191,7 +197,7 @@ def test_every_kind_of_display(tmp_path, toml, channels, words):
         assert each in page
 
 
-def test_many_subframes_are_not_all_shown(tmp_path):
+def test_many_subframes_are_not_all_shown(tmp_path, undrawn):
     toml = IN_TIME.replace("subframes = 2", "subframes = 5")
     page = page_of(make(tmp_path / "out", toml))
     assert "The first 4 of 5 subframes" in page
@@ -207,7 +213,7 @@ def test_a_perfect_result(tmp_path):
     assert "24x20 px exactly" in page_of(tmp_path / "out")
 
 
-def test_figures_of_views_are_computed_where_none_are_recorded(result, tmp_path):
+def test_figures_of_views_are_computed_where_none_are_recorded(result, tmp_path, undrawn):
     shutil.copytree(result, tmp_path / "out")
     facts = json.loads((tmp_path / "out/result.json").read_text())
     known = facts.pop("psnr_by_view")
@@ -284,7 +290,7 @@ def test_the_same_rows_give_the_same_files(desk):
     assert contents(desk) == before
 
 
-def test_targets_of_a_field_are_read_as_the_result_was(desk):
+def test_targets_of_a_field_are_read_as_the_result_was(desk, undrawn):
     display = Display(parse_spec(SMALL.replace("[3, 3]", "[5, 5]"), "display"))
     many = procedural_light_field(grid=(5, 5), size=(24, 30))
     write_views(desk / "many", many.views, display, 8)
@@ -310,7 +316,7 @@ def test_options_are_recorded_as_they_are_parsed(options):
     assert FieldOptions.parse(**recorded(parsed)["options"]) == parsed
 
 
-def test_evaluate_writes_a_page(desk, rows, monkeypatch):
+def test_evaluate_writes_a_page(desk, rows, monkeypatch, undrawn):
     monkeypatch.setattr("layerfield.cli.evaluate.evaluate", lambda *_, **__: rows)
     (desk / "d.toml").write_text(SMALL)
     write_views(desk / "views", field_for(Display.load("d.toml")).views, Display.load("d.toml"), 8)

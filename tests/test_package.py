@@ -87,6 +87,7 @@ def test_a_built_wheel_installs_and_runs(tmp_path):
     names = zipfile.ZipFile(wheel).namelist()
     assert "layerfield/displays/additive-3.toml" in names
     assert "layerfield/trained/registry.json" in names
+    assert "layerfield/report/page.css" in names
     assert not [name for name in names if name.startswith(("tests", "benchmarks"))]
     venv.create(tmp_path / "venv", with_pip=True, system_site_packages=False)
     python = tmp_path / "venv" / "bin" / "python"
@@ -201,6 +202,11 @@ def test_every_command_of_the_page_on_eyes_runs(tmp_path, monkeypatch, quick_ref
     runs(commands_in(page))
     for block in re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL):
         exec(compile(block, "eyes.md", "exec"), {})
+
+
+def test_every_command_of_the_page_on_reports_runs(my_views):
+    runs(commands_in((ROOT / "docs" / "report.md").read_text("utf-8")))
+    assert Path("figures/layer-0.png").is_file()
 
 
 PAGES = {

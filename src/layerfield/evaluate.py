@@ -108,6 +108,7 @@ class Row:
     details: dict[str, float | str] = dataclasses.field(default_factory=dict)
     reference: Reference | None = None
     eyes: EyeFigures | None = None
+    grid: tuple[int, int] | None = None  # rows and columns of the viewpoints; None for a list
 
     @property
     def label(self) -> str:
@@ -264,6 +265,7 @@ def _measure(job: _Job) -> tuple[Row, np.ndarray]:
         figures=figures(layers, field, display),
         made_with=provenance(field.views.device),
         details=dict(solution.details) | _targets(field),
+        grid=display.geometry.grid,
     )
     return row, codes.cpu().numpy()
 

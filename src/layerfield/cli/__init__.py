@@ -11,6 +11,7 @@ from layerfield.cli.info import info_command
 from layerfield.cli.lists import displays, methods, weights
 from layerfield.cli.options import Force, Out
 from layerfield.cli.process import run
+from layerfield.cli.report import report_command
 from layerfield.cli.reproduce import reproduce_command
 from layerfield.cli.simulate import simulate_command
 from layerfield.cli.synth import synth_command
@@ -50,6 +51,7 @@ app.command(name="synth")(synth_command)
 app.command(name="simulate")(simulate_command)
 app.command(name="evaluate")(evaluate_command)
 app.command(name="view")(view_command)
+app.command(name="report")(report_command)
 app.command(name="displays")(displays)
 app.command(name="methods")(methods)
 app.command(name="design")(design_command)

@@ -24,7 +24,7 @@ from layerfield.cli.refusals import (
 )
 from layerfield.cli.terminal import print_tables, say, status
 from layerfield.display import Display
-from layerfield.evaluate import evaluate, parse_methods, write_rows
+from layerfield.evaluate import Row, evaluate, parse_methods, write_rows
 from layerfield.io import FieldOptions
 from layerfield.panels import largest_code
 from layerfield.remarks import values_taken_for_light
@@ -48,6 +48,9 @@ def evaluate_command(
     eye_map_file: Annotated[
         Path | None, typer.Option("--eye-map", help="PNG: PSNR against the position of the eye")
     ] = None,
+    report_file: Annotated[
+        Path | None, typer.Option("--report", help="HTML page of the rows")
+    ] = None,
     targets_between: TargetsBetween = None,
     force: Force = False,
 ) -> None:
@@ -57,7 +60,9 @@ def evaluate_command(
     models = [Display.load(name) for name in names]
     refuse_repeats("displays", [model.name for model in models])
     found = [find_method(name) for name, _ in chosen]
-    for out in filter(None, (json, eye_map_file)):
+    outputs = [out for out in (json, eye_map_file, report_file) if out is not None]
+    refuse_repeats("files to write", [str(out) for out in outputs])
+    for out in outputs:
         keep_inputs(out, *paths, *map(own_file, names), *(method.file for method in found))
     if between or eye_map_file is not None:
         refuse_lists(models, "--between and --eye-map")
@@ -77,6 +82,7 @@ def evaluate_command(
     with (
         file_or_nothing(json, force=force) as path,
         file_or_nothing(eye_map_file, force=force) as picture,
+        file_or_nothing(report_file, force=force) as page,
     ):
         with status(total=len(loaded) * len(models) * (len(chosen) + 1)) as tick:
             rows = evaluate(
@@ -88,6 +94,16 @@ def evaluate_command(
             from layerfield.report.eye_map import write_eye_map  # noqa: PLC0415  slow to import
 
             write_eye_map(picture, rows)
+        if page is not None:
+            _write_page(page, rows)
     for remark in [note for f in loaded for d in models for note in values_taken_for_light(f, d)]:
         say(remark)
     print_tables(rows)
+
+
+def _write_page(path: Path, rows: list[Row]) -> None:
+    from layerfield.report.evaluation_page import evaluation_page  # noqa: PLC0415  slow to import
+    from layerfield.report.facts import facts_of_rows  # noqa: PLC0415  slow to import
+    from layerfield.report.page import write_page  # noqa: PLC0415  slow to import
+
+    write_page(path, evaluation_page(facts_of_rows(rows)))

@@ -1,6 +1,8 @@
 """How commands read light fields, with the eyes between and around their viewpoints."""
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 from layerfield.between import given_between, interpolated_between, parse_targets
 from layerfield.cli.refusals import refuse_small
@@ -31,6 +33,18 @@ def read_field(path: str, options: FieldOptions, targets: str | None = None) -> 
     else:
         between = interpolated_between(loaded)
     return replace(loaded, between=replace(between, weight=weight))
+
+
+def read_as_recorded(path: str, facts: Mapping[str, Any]) -> LightField:
+    """Read a light field in the way that the facts of a result record.
+
+    Raises:
+        ValueError: as `read_field` does, or what is recorded are no options.
+    """
+    match facts:
+        case {"field": {"options": dict(options)}}:
+            return read_field(path, FieldOptions.as_recorded(options))
+    return read_field(path, FieldOptions())
 
 
 def read_around(path: str, options: FieldOptions, field: LightField, *, between: bool) -> EyeViews:

@@ -6,13 +6,13 @@ from typing import Annotated
 
 import typer
 
+from layerfield.cli.fields import read_as_recorded
 from layerfield.cli.options import Force
 from layerfield.cli.process import until_interrupted
 from layerfield.cli.refusals import keep_inputs, own_file
 from layerfield.cli.terminal import say, status
 from layerfield.display import Display
-from layerfield.io import FieldOptions, load_light_field, whole_file
-from layerfield.light_field import LightField
+from layerfield.io import whole_file
 from layerfield.stored_result import StoredResult, facts_of, open_result
 from layerfield.viewer.exhibit import exhibit
 from layerfield.viewer.page import data_address, page_alone, served_page
@@ -43,7 +43,9 @@ def view_command(
     shown_on = None if display is None else Display.load(display)
     if export is not None:
         keep_inputs(export, *folders, own_file(display), field)
-    fields = [None if field is None else _as_recorded(field, folder) for folder in folders]
+    fields = [
+        None if field is None else read_as_recorded(field, facts_of(folder)) for folder in folders
+    ]
     results = [
         open_result(folder, made_of, shown_on, margin)
         for folder, made_of in zip(folders, fields, strict=True)
@@ -53,14 +55,6 @@ def view_command(
         _serve(results, title, port, browser)
     else:
         _export(export, results, title, force)
-
-
-def _as_recorded(field: str, folder: Path) -> LightField:
-    """Read a light field as it was read for a result."""
-    match facts_of(folder):
-        case {"field": {"options": dict(options)}}:
-            return load_light_field(field, FieldOptions.as_recorded(options))
-    return load_light_field(field)
 
 
 def _serve(results: list[StoredResult], title: str, port: int, browser: bool) -> None:

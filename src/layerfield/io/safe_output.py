@@ -6,6 +6,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from secrets import token_hex
 
+_OURS = ("result.json", "design.json", "figures.json")  # files that only this program writes
+
 
 @contextmanager
 def whole_file(path: str | Path, *, force: bool = False) -> Iterator[Path]:
@@ -108,15 +110,15 @@ def _refuse_directory(path: Path, force: bool) -> None:
         raise ValueError(f"{path} exists; give another name, or force to replace it")
     if any(path.iterdir()) and not _made_here(path):
         raise ValueError(
-            f"{path} holds no result.json, design.json or views with a display.toml, so it was "
-            "not made here and will not be replaced; give another name, or remove it yourself"
+            f"{path} holds no {', '.join(_OURS)} or views with a display.toml, so it was not made "
+            "here and will not be replaced; give another name, or remove it yourself"
         )
 
 
 def _made_here(path: Path) -> bool:
     """A display.toml without views may be the user's own, beside anything else."""
     simulated = (path / "display.toml").is_file() and (path / "views").is_dir()
-    return simulated or any((path / name).is_file() for name in ("result.json", "design.json"))
+    return simulated or any((path / name).is_file() for name in _OURS)
 
 
 def _exists(path: Path) -> bool:

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from torch import Tensor
 
+INK, MUTED, GRID = "#191c21", "#5f646e", "#dddfe3"
+TITLE, TEXT, SMALL = 12, 10, 9  # points
 _DPI = 110
-_INK, _MUTED, _GRID = "#191c21", "#5f646e", "#dddfe3"
-_TITLE, _TEXT, _SMALL = 12, 10, 9  # points
 _MOST_COLUMNS = 4  # of a legend
 
 
@@ -30,6 +30,7 @@ class Line:
         colour: of the line.
         style: `-`, `--`, `:` or `-.`.
         width: points.
+        marker: of its points; one point alone has one always.
     """
 
     label: str
@@ -38,6 +39,7 @@ class Line:
     colour: str
     style: str = "-"
     width: float = 1.8
+    marker: str = ""
 
 
 @dataclass(frozen=True)
@@ -73,15 +75,22 @@ class Panel:
     bottom: float | None = None
 
 
-def chart(title: str, panels: Sequence[Panel], *, log_y: bool = False) -> Figure:
+def chart(
+    title: str,
+    panels: Sequence[Panel],
+    *,
+    log_y: bool = False,
+    size: tuple[float, float] | None = None,
+) -> Figure:
     """Draw panels side by side with one y axis and one legend below.
 
     Args:
-        title: of the figure.
+        title: of the figure; "" leaves it out.
         panels: from left to right.
         log_y: logarithmic axis.
+        size: width and height in inches; as many panels want it if not given.
     """
-    figure = _figure(max(7.0, 4.6 * len(panels)), 4.9, title)
+    figure = blank(*(size or (max(7.0, 4.6 * len(panels)), 4.9)), title)
     all_axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
     handles: dict[str, Line2D] = {}
     for axes, panel in zip(all_axes, panels, strict=True):
@@ -89,7 +98,7 @@ def chart(title: str, panels: Sequence[Panel], *, log_y: bool = False) -> Figure
         if log_y:
             axes.set_yscale("log")
         handles |= {str(h.get_label()): h for h in axes.lines if not _hidden(h)}
-    all_axes[0].set_ylabel(panels[0].y_label, fontsize=_TEXT)
+    all_axes[0].set_ylabel(panels[0].y_label, fontsize=TEXT)
     _legend_below(figure, handles)
     return figure
 
@@ -99,7 +108,7 @@ def _legend_below(figure: Figure, handles: Mapping[str, Any]) -> None:
     for columns in range(min(len(handles), _MOST_COLUMNS), 0, -1):
         legend = figure.legend(
             handles.values(), list(handles), loc="outside lower center", frameon=False,
-            ncols=columns, fontsize=_SMALL,
+            ncols=columns, fontsize=SMALL,
         )  # fmt: skip
         figure.draw_without_rendering()
         if columns == 1 or legend.get_window_extent().width <= figure.bbox.width:
@@ -116,7 +125,7 @@ def _draw(axes: Axes, panel: Panel) -> None:
         axes.axhline(each.y, color=each.colour, linestyle=each.style, lw=1.4, label=each.label)
     for line in panel.lines:
         label = line.label or "_"
-        marker = "o" if len(line.x) < 2 else ""
+        marker = line.marker or ("o" if len(line.x) < 2 else "")
         axes.plot(
             line.x, line.y, color=line.colour, linestyle=line.style, lw=line.width, label=label,
             marker=marker,
@@ -126,10 +135,15 @@ def _draw(axes: Axes, panel: Panel) -> None:
         axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     if panel.bottom is not None:
         axes.set_ylim(bottom=panel.bottom)
-    axes.set_title(panel.title, fontsize=_TEXT, color=_INK)
-    axes.set_xlabel(panel.x_label, fontsize=_TEXT)
-    axes.tick_params(labelsize=_SMALL)
-    axes.grid(color=_GRID, lw=0.7)
+    axes.set_title(panel.title, fontsize=TEXT, color=INK)
+    axes.set_xlabel(panel.x_label, fontsize=TEXT)
+    tidy(axes)
+
+
+def tidy(axes: Axes) -> None:
+    """Give a chart its grid and small numbers, and no frame."""
+    axes.tick_params(labelsize=SMALL)
+    axes.grid(color=GRID, lw=0.7)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
 
@@ -173,7 +187,7 @@ def sheet(given: Sheet) -> Figure:
     columns = max(len(cells) for _, _, cells in given.rows)
     height, width = given.rows[0][2][0].pixels.shape[-2:]
     tall = given.width * height / width + 0.45
-    figure = _figure(
+    figure = blank(
         given.width * columns + 0.5, max(tall, 1.5) * len(given.rows) + 0.65, given.title
     )
     all_axes = figure.subplots(len(given.rows), columns, squeeze=False)
@@ -185,10 +199,10 @@ def sheet(given: Sheet) -> Figure:
             _draw_cell(axes, cell)
         row[0].text(
             -0.04, 0.5, name, transform=row[0].transAxes, rotation=90, ha="right", va="center",
-            color=colour, fontsize=_TEXT, fontweight="bold",
+            color=colour, fontsize=TEXT, fontweight="bold",
         )  # fmt: skip
     if given.note:
-        figure.supxlabel(given.note, fontsize=_SMALL, color=_MUTED)
+        figure.supxlabel(given.note, fontsize=SMALL, color=MUTED)
     return figure
 
 
@@ -203,10 +217,10 @@ def _draw_cell(axes: Axes, cell: Cell) -> None:
         for (y, x), value in np.ndenumerate(array[0]):
             ink = "white" if value < (low + high) / 2 else "black"
             axes.text(x, y, f"{value:.1f}", ha="center", va="center", fontsize=8, color=ink)
-    axes.set_title(cell.heading, fontsize=_SMALL, color=_INK, pad=3)
+    axes.set_title(cell.heading, fontsize=SMALL, color=INK, pad=3)
     axes.text(
         0.5, -0.03, cell.caption, transform=axes.transAxes, ha="center", va="top",
-        fontsize=_SMALL, color=_MUTED,
+        fontsize=SMALL, color=MUTED,
     )  # fmt: skip
 
 
@@ -228,7 +242,7 @@ class Bars:
 def stacked_bars(title: str, panels: Sequence[Bars], parts: Sequence[str]) -> Figure:
     """Draw how wholes are shared, a bar for every method and a shade for every part."""
     shades = ["#1b3a57", "#6f9fc4", "#cfe0ee", "#f0c987", "#b9791f", "#6b3f0a"]
-    figure = _figure(5.2 * len(panels), 1.5 + 0.42 * len(panels[0].rows), title)
+    figure = blank(5.2 * len(panels), 1.5 + 0.42 * len(panels[0].rows), title)
     all_axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
     for axes, panel in zip(all_axes, panels, strict=True):
         names = [name for name, _ in panel.rows][::-1]
@@ -241,13 +255,13 @@ def stacked_bars(title: str, panels: Sequence[Bars], parts: Sequence[str]) -> Fi
                     ink = "white" if k == 0 else "black"
                     axes.text(
                         start + value / 2, y, f"{value:.0f}", ha="center", va="center",
-                        fontsize=_SMALL, color=ink,
+                        fontsize=SMALL, color=ink,
                     )  # fmt: skip
             left += values
-        axes.set_title(panel.title, fontsize=_TEXT)
-        axes.set_xlabel(panel.x_label, fontsize=_TEXT)
+        axes.set_title(panel.title, fontsize=TEXT)
+        axes.set_xlabel(panel.x_label, fontsize=TEXT)
         axes.set_xlim(0, 100)
-        axes.tick_params(labelsize=_SMALL)
+        axes.tick_params(labelsize=SMALL)
         axes.spines[["top", "right"]].set_visible(False)
     handles, labels = all_axes[0].get_legend_handles_labels()
     _legend_below(figure, dict(zip(labels, handles, strict=True)))
@@ -287,7 +301,7 @@ def maps(title: str, panels: Sequence[Map], names: Axes3) -> Figure:
     """Draw maps in rows of up to three with one scale of colours, its middle as a contour."""
     columns = min(len(panels), 3)
     rows = -(-len(panels) // columns)
-    figure = _figure(max(4.0 * columns + 1.0, 6.5), 3.1 * rows + 1.0, title)
+    figure = blank(max(4.0 * columns + 1.0, 6.5), 3.1 * rows + 1.0, title)
     all_axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).flatten()
     image = None
     for axes, panel in zip(all_axes, panels, strict=False):
@@ -299,19 +313,19 @@ def maps(title: str, panels: Sequence[Map], names: Axes3) -> Figure:
         axes.contour(array, levels=[0.5], colors="black", linewidths=0.8, extent=extent)
         for mark in panel.marks:
             axes.axvline(mark, color="#d1142e", lw=1.6, linestyle="--")
-        axes.set_title(panel.title, fontsize=_TEXT, color=_INK)
-        axes.tick_params(labelsize=_SMALL, labelbottom=True)
+        axes.set_title(panel.title, fontsize=TEXT, color=INK)
+        axes.tick_params(labelsize=SMALL, labelbottom=True)
     for axes in all_axes[len(panels) :]:
         axes.set_axis_off()
     for axes in all_axes[: len(panels)]:
-        axes.set_xlabel(names.x, fontsize=_TEXT)
+        axes.set_xlabel(names.x, fontsize=TEXT)
     for axes in all_axes[::columns]:
-        axes.set_ylabel(names.y, fontsize=_TEXT)
+        axes.set_ylabel(names.y, fontsize=TEXT)
     assert image is not None  # there is at least one panel
     scale = figure.colorbar(image, ax=all_axes.tolist(), pad=0.02)
-    scale.set_label(names.value, fontsize=_TEXT)
-    scale.ax.tick_params(labelsize=_SMALL)
-    figure.supxlabel(names.marks, fontsize=_SMALL, color=_MUTED)
+    scale.set_label(names.value, fontsize=TEXT)
+    scale.ax.tick_params(labelsize=SMALL)
+    figure.supxlabel(names.marks, fontsize=SMALL, color=MUTED)
     return figure
 
 
@@ -321,7 +335,9 @@ def save(figure: Figure, path: Path) -> None:
     figure.savefig(path, dpi=_DPI, metadata={"Software": None})
 
 
-def _figure(width: float, height: float, title: str) -> Figure:
+def blank(width: float, height: float, title: str = "") -> Figure:
+    """Return a figure to draw into; width and height in inches."""
     figure = Figure(figsize=(width, height), layout="constrained", facecolor="white")
-    figure.suptitle(title, fontsize=_TITLE, color=_INK)
+    if title:
+        figure.suptitle(title, fontsize=TITLE, color=INK)
     return figure

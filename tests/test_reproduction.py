@@ -15,7 +15,7 @@ from test_training import TINY
 
 from layerfield import Display, LightField, procedural_light_field
 from layerfield.display_spec import format_spec
-from layerfield.io import load_light_field
+from layerfield.io import load_light_field, write_png
 from layerfield.metrics import LayerFigures
 from layerfield.networks import StackedCnn, UNet
 from layerfield.reference import Reference
@@ -57,6 +57,8 @@ from layerfield.weights import WeightsCard, write_weights
 
 DISPLAY = Display.load("additive-3")
 FAST = Effort(iterations=6, repeats=1, memory=False)
+
+DOT = np.zeros((1, 1, 1), np.uint8)  # in place of figures, where drawing is not the point
 
 
 # ------------------------------------------------------------------------------------- measures
@@ -327,7 +329,7 @@ def undrawn(monkeypatch) -> None:
     monkeypatch.setattr(
         gao2024.figures, "figures_of_field", lambda *_: [("figure5", None), ("figure6", None)]
     )
-    monkeypatch.setattr(gao2024, "save", lambda figure, path: path.touch())
+    monkeypatch.setattr(gao2024, "save", lambda figure, path: write_png(path, DOT))
 
 
 @pytest.fixture
@@ -350,16 +352,18 @@ def test_the_command_rebuilds_everything(tmp_path, monkeypatch, runs, views):
     command = ["reproduce", "gao2024", "--out", out, "--runs", runs, "--field", views]
     said = succeed(*command, "--iterations", "6")
     assert "claims.md" in said
-    assert {p.name for p in out.iterdir()} == FIGURES | {"claims.md", "claims.json", "result.json"}
+    written = {"claims.md", "claims.json", "result.json", "report.html"}
+    assert {p.name for p in out.iterdir()} == FIGURES | written
+    assert (out / "report.html").read_text().count("<img ") == len(FIGURES)
     found = json.loads((out / "claims.json").read_text())
     assert [claim["number"] for claim in found["claims"]] == [1, 2, 3, 4, 5]
     assert all(claim["verdict"] != "not measured" for claim in found["claims"])
     assert found["seeds"] == {CNN: [0], UNET: [0]}
-    for name in ("claims.json", "claims.md", "result.json"):
+    for name in ("claims.json", "claims.md", "result.json", "report.html"):
         assert str(tmp_path) not in (out / name).read_text()
         assert str(runs) not in (out / name).read_text()
     fails(run(*command), "exists")
-    monkeypatch.setattr(gao2024, "save", lambda figure, path: path.touch())
+    monkeypatch.setattr(gao2024, "save", lambda figure, path: write_png(path, DOT))
     succeed(*command, "--iterations", "3", "--force")
     assert not [p for p in tmp_path.iterdir() if p.name.startswith(".")]
 

@@ -66,7 +66,7 @@ def reproduce_command(
         claims = reproduce(out, given, more=more, force=force, tick=tick)
     for line in claim_lines(claims):
         say(line)
-    say(f"figures, claims.md and claims.json are in {out}")
+    say(f"report.html, its figures, claims.md and claims.json are in {out}")
 
 
 def _load(path: str, options: FieldOptions) -> LightField:

@@ -19,6 +19,7 @@ from layerfield.io import whole_directory
 from layerfield.light_field import LightField
 from layerfield.networks import NETWORKS
 from layerfield.provenance import provenance
+from layerfield.report.page import write_page
 from layerfield.report.plots import save
 from layerfield.reproduction import figures
 from layerfield.reproduction.claims import (
@@ -48,6 +49,7 @@ from layerfield.reproduction.measures import (
     measure,
     network_cost,
 )
+from layerfield.reproduction.page import claims_page
 from layerfield.reproduction.runs import (
     SHIPPED_RUNS,
     command,
@@ -103,7 +105,7 @@ def reproduce(
     force: bool = False,
     tick: Tick = lambda _: None,
 ) -> list[Claim]:
-    """Measure, draw, judge; write figures, claims.md, claims.json and result.json.
+    """Measure, draw, judge; write figures, claims.md, claims.json, result.json, report.html.
 
     Args:
         out: folder to make, whole or not at all.
@@ -133,6 +135,7 @@ def reproduce(
         record = _record(display, fields, trainings, contenders)
         _write(folder / "claims.json", record | {"claims": [each.as_record() for each in claims]})
         (folder / "claims.md").write_text(claims_text(claims, record), "utf-8")
+        write_page(folder / "report.html", claims_page(claims, record, folder))
         _write(folder / "result.json", record | {"measured": [as_record(m) for m in measured]})
     return claims
 

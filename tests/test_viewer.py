@@ -15,6 +15,7 @@ import pytest
 import torch
 from test_cli import COMMAND, fails, run, start, succeed
 
+import layerfield.cli.view as view_module
 import layerfield.viewer.exhibit as exhibit_module
 from layerfield import Display, procedural_light_field
 from layerfield.display_spec import DisparitySpec, format_spec, parse_spec
@@ -347,6 +348,12 @@ def test_one_file_shows_the_same(chromium, tmp_path):
         (tmp_path / "page.html").as_uri()
     ]
     visitor.close()
+
+
+def test_a_large_file_is_pointed_out(tmp_path, monkeypatch):
+    monkeypatch.setattr(view_module, "_LARGE", 1000)
+    folder = random_result(tmp_path / "out", "srgb")
+    assert "note: that is large" in succeed("view", folder, "--export", tmp_path / "page.html")
 
 
 def test_export_is_the_same_every_time(tmp_path):

@@ -22,6 +22,7 @@ _SOLVERS = {
     "additive-3": [("fourier-admm", 10), ("nmf", 10), ("nmf", 100), ("sart", 10)],
     "multiplicative-3": [("fourier-admm", 2), ("fourier-admm", 10), ("sweeps", 10)],
 }
+DISPLAYS = tuple(_SOLVERS)
 _SHOWN = ("fourier-admm", 10)
 _SIZE = (192, 256)
 _SEED = 8

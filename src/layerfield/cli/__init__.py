@@ -1,5 +1,6 @@
 """The command line: options in, one call each, tables out. One line and status 2 for errors."""
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -18,7 +19,7 @@ from layerfield.cli.synth import synth_command
 from layerfield.cli.terminal import print_tables, say, status
 from layerfield.cli.train import train_command
 from layerfield.cli.view import view_command
-from layerfield.demo import run_demo
+from layerfield.demo import DISPLAYS, run_demo
 from layerfield.version import __version__
 
 app = typer.Typer(
@@ -44,6 +45,7 @@ def demo(out: Out = Path("demo"), force: Force = False) -> None:
         rows = run_demo(out, force=force, tick=tick)
     print_tables(rows)
     say(f"layers, views and comparison.png are in {out}")
+    say(f"look around with: layerfield view {shlex.join(str(out / name) for name in DISPLAYS)}")
 
 
 app.command(name="info")(info_command)

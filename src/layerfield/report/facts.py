@@ -125,7 +125,7 @@ class RowFacts(_Quality):
         return spelled(self.method, self.iterations)
 
 
-def facts_of(result: StoredResult) -> ResultFacts:
+def checked_facts(result: StoredResult) -> ResultFacts:
     """Return the facts of a result.
 
     Raises:

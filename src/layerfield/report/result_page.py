@@ -8,7 +8,7 @@ from torch import Tensor
 
 from layerfield.display_spec import PhysicalSpec
 from layerfield.metrics import finite, psnr, psnr_by_view
-from layerfield.report.facts import ResultFacts, facts_of
+from layerfield.report.facts import ResultFacts, checked_facts
 from layerfield.report.page import Block, Facts, Gallery, Page, Section, Text
 from layerfield.report.rendering import LONGEST_SIDE, quiet_about_fonts
 from layerfield.report.result_figures import (
@@ -72,7 +72,7 @@ def result_page(result: StoredResult) -> Page:
     Raises:
         ValueError: no facts, or targets that are not those of the result.
     """
-    facts, views = facts_of(result), result.views()
+    facts, views = checked_facts(result), result.views()
     if result.targets is not None:
         _refuse_other_targets(result, facts, views)
     shown = _Shown(result, facts, views, _by_view(result, facts, views))

@@ -52,8 +52,9 @@ def _checks(claim: Claim) -> Iterator[Block]:
         yield Text(claim.missing, "missing")
     for check in claim.checks:
         yield Text(f"{'Yes' if check.holds else 'No'}: {check.says}: {check.figures}")
-    for line in claim.beside:
-        yield Text(f"Beside it, without a say in the verdict: {line}")
+    if claim.beside:
+        yield Text("Beside it, without a say in the verdict:", "missing")
+    yield from map(Text, claim.beside)
 
 
 def _figure(path: Path) -> Picture:

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from copy import deepcopy
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ from test_cli import run
 
 from layerfield import Display, LightField, procedural_light_field, synthesize
 from layerfield.links import LINKS
-from layerfield.networks import NETWORKS, StackedCnn, UNet
+from layerfield.networks import NETWORKS, StackedCnn, UNet, deepen, modules
 from layerfield.networks.network import dead_layers, hand_on, initialise, level, reseed
 from layerfield.result import write_views
 from layerfield.training.checkpoint import read_checkpoint, write_checkpoint
@@ -468,6 +469,19 @@ def test_a_deep_stack_may_start_from_a_shallow_one(tmp_path, monkeypatch):
     wider = recipe(tmp_path, deep.replace("width = 4", "width = 8"))
     with pytest.raises(ValueError, match=r"modules = 2, width = 4.*modules = 5, width = 8"):
         starting_network(wider, display, source, tmp_path)
+
+
+def test_a_u_net_may_get_more_convolutions_on_its_first_level():
+    """They hand on what they get: the same layers, at first from farther away."""
+    known, deep = UNet(9, 2, width=4, depth=2), UNet(9, 2, width=4, depth=2, first=5)
+    assert deepen(deep, known)
+    views = torch.rand(1, 9, 16, 20)
+    assert torch.equal(deep.pixels(views), known.pixels(views))
+    assert (modules(known), modules(deep)) == (10, 16)
+    assert (known.reach, deep.reach) == (26, 32)
+    before = deepcopy(deep.state_dict())
+    assert not deepen(deep, UNet(9, 2, width=8, depth=2))
+    assert all(torch.equal(value, before[key]) for key, value in deep.state_dict().items())
 
 
 @pytest.mark.parametrize("start", ["evne", "none.safetensors", "other"])

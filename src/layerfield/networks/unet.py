@@ -23,6 +23,8 @@ class UNet(Network):
         width: channels after the input module; doubled after every pooling.
         depth: number of poolings. The paper does not state it; 3 gives 7.7 million parameters.
         skips: connect the levels; without, for ablations, the way up sees only what is below.
+        first: convolutions of the level at full resolution on the way down, and as many on the
+            way up. More than the paper's 2 help on fine textures.
         densities: see `Network`.
 
     Reference:
@@ -37,23 +39,25 @@ class UNet(Network):
         width: int = 64,
         depth: int = 3,
         skips: bool = True,
+        first: int = 2,
         densities: bool = False,
     ) -> None:
         super().__init__(views, layers, densities=densities)
         self.multiple = 2**depth
         # Level l adds 2^l in pooling, 4 * 2^l below, 2^l on the way up, 2 * 2^l in merging.
-        self.reach = 2 + 8 * (2**depth - 1)
+        self.reach = 2 * (first - 1) + 8 * (2**depth - 1)
         self.skips = skips
         channels = [width * 2**level for level in range(depth + 1)]
         pairs = list(pairwise(channels))
-        self.entry = convolutions(views, width, width)
+        self.entry = convolutions(views, *[width] * first)
         self.pool = nn.MaxPool2d(2)
         self.down = nn.ModuleList(convolutions(low, high, high) for low, high in pairs)
         self.up = nn.ModuleList(
             nn.ConvTranspose2d(high, low, 2, stride=2) for low, high in reversed(pairs)
         )
         self.merge = nn.ModuleList(
-            convolutions(2 * low if skips else low, low, low) for low, _ in reversed(pairs)
+            convolutions(2 * low if skips else low, *[low] * (2 if level else first))
+            for level, (low, _) in reversed(list(enumerate(pairs)))
         )
         self.last = nn.Conv2d(width, layers, 1)
 

@@ -1,14 +1,13 @@
 """The network that a training starts from: drawn weights, or those of a trained one."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import torch
 
 from layerfield.display import Display
 from layerfield.nearest import did_you_mean
-from layerfield.networks import NETWORKS, Network, StackedCnn, deepened
+from layerfield.networks import NETWORKS, Network, deepen, modules
 from layerfield.networks.network import dead_layers, hand_on, initialise, level, reseed
 from layerfield.training.recipe import Recipe
 from layerfield.training.sources import Source
@@ -68,12 +67,12 @@ def _begun(
     if recipe.start not in _STARTS:
         trained = _named_weights(recipe.start, folder)
         notes = [f"started from the weights {trained.name} (sha256 {trained.sha256})"]
-        match network, trained.network:
-            case StackedCnn(depth=deep), StackedCnn(depth=shallow) as known if shallow < deep:
-                trained = replace(trained, network=deepened(known, deep))
-                notes.append(f"deepened from {shallow} to {deep} modules")
-        refuse_other_network(network, trained, recipe)
-        network.load_state_dict(trained.network.state_dict())
+        found, wanted = modules(trained.network), modules(network)
+        if found < wanted and deepen(network, trained.network):
+            notes.append(f"deepened from {found} to {wanted} modules")
+        else:
+            refuse_other_network(network, trained, recipe)
+            network.load_state_dict(trained.network.state_dict())
         # What adds up values knows how to add up densities.
         sums = network.densities and trained.display.link.is_sum
         return network, sums or same_light_paths(trained.display, display), notes

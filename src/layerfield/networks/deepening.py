@@ -35,7 +35,7 @@ def deepen(deep: Network, known: Network) -> bool:
         return False
     with torch.no_grad():
         for stack in _stacks(deep).values():
-            for convolution in stack[::2]:
+            for convolution in list(stack)[::2]:
                 assert isinstance(convolution, nn.Conv2d)
                 assert convolution.bias is not None
                 nn.init.dirac_(convolution.weight)

@@ -11,9 +11,10 @@ and only the band has to be recomputed when layers change.
 from collections.abc import Sequence
 
 import torch
-from jaxtyping import Complex, Float, Inexact
+from jaxtyping import Float
 from torch import Tensor
 
+from layerfield.frequencies import Spectral, interleaved, multiply
 from layerfield.projection import Projection
 
 
@@ -64,6 +65,7 @@ class Gram:
         symbol = projection.symbol(self.torus, weights)
         self.symbol = symbol.to(like.device, _matching(symbol, like))
         self.matrix = interleaved(self.symbol)
+        self.spectral = Spectral(self.symbol, self.torus, sum(weights))
         # Two strips of the torus make up the band: all columns below and above the views, then
         # what is left and right of them. Each holds the layer pixels its view pixels look at.
         (ty, tx), across = self.torus, (0, self.torus[1] + 2 * mx)
@@ -108,58 +110,6 @@ class Gram:
         """Return A^T M W A layers."""
         spectrum = multiply(self.matrix, torch.fft.rfft2(layers))
         return torch.fft.irfft2(spectrum, s=self.torus) - self.band(layers)
-
-
-def interleaved(
-    matrix: Inexact[Tensor, "layer layer fy fx"],
-) -> Tensor:
-    """Prepare a matrix for `multiply`.
-
-    A real matrix acts on real and imaginary parts alike; with every entry twice, it fits a
-    spectrum whose real and imaginary parts lie side by side in one long real row.
-    """
-    return matrix if matrix.is_complex() else matrix.repeat_interleave(2, dim=-1)
-
-
-def multiply(
-    matrix: Tensor, spectrum: Complex[Tensor, "*batch layer c fy fx"]
-) -> Complex[Tensor, "*batch layer c fy fx"]:
-    """Multiply every frequency of a spectrum by its layer x layer matrix, once `interleaved`."""
-    if matrix.is_complex():
-        return _multiply(matrix, spectrum)
-    product = _multiply(matrix, torch.view_as_real(spectrum).flatten(-2))
-    return torch.view_as_complex(product.unflatten(-1, (-1, 2)))
-
-
-def _multiply(matrix: Tensor, spectrum: Tensor) -> Tensor:
-    product = torch.empty_like(spectrum)
-    planes = spectrum.unbind(dim=-4)
-    for row, total in zip(matrix, product.unbind(dim=-4), strict=True):
-        torch.mul(row[0], planes[0], out=total)
-        for entry, plane in zip(row[1:], planes[1:], strict=True):
-            total.addcmul_(entry, plane)
-    return product
-
-
-def inverse(matrix: Inexact[Tensor, "layer layer fy fx"]) -> Inexact[Tensor, "layer layer fy fx"]:
-    """Invert the positive definite matrix of every frequency, by Gauss-Jordan elimination.
-
-    All frequencies go together; the few steps over layers cost less than a batched library call.
-    """
-    left = matrix.clone()
-    right = torch.zeros_like(matrix)
-    for k in range(len(matrix)):
-        right[k, k] = 1
-    for k in range(len(matrix)):
-        pivot = left[k, k].clone()
-        left[k] /= pivot
-        right[k] /= pivot
-        for row in range(len(matrix)):
-            if row != k:
-                factor = left[row, k].clone()
-                left[row] -= factor * left[k]
-                right[row] -= factor * right[k]
-    return right
 
 
 def _matching(symbol: Tensor, like: Tensor) -> torch.dtype:

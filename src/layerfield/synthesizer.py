@@ -15,6 +15,7 @@ from torch import Tensor
 
 from layerfield.between import with_eyes
 from layerfield.display import Display
+from layerfield.fast import FastMethod
 from layerfield.light_field import LightField
 from layerfield.links import LINKS
 from layerfield.methods import (
@@ -66,6 +67,7 @@ _SOLVERS = (
         lambda link: FourierAdmm() if link.is_sum else FourierStart.suited(link),
         lambda _: NearestShifts(),
     ),
+    FastMethod.shipped(),
     _any_distance("gradient", "accelerated projected gradients", 100, _ANY, Gradient()),
     SolverMethod(
         "nmf", "multiplicative updates of non-negative factors", 100, _ADDITIVE, lambda _: Nmf()

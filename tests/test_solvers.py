@@ -140,7 +140,7 @@ def test_gap_bounds_the_distance_to_the_optimum(scene):
 @pytest.mark.parametrize("link", sorted(LINKS))
 def test_reference_is_at_least_as_good_as_every_method(scene, link):
     display = Display.load(PRESETS[link])
-    scene = replace(scene, views=scene.views[..., :48, :56])
+    scene = replace(scene, stored=scene.views[..., :48, :56])
     problem = pose(scene, display)
     found = reference(problem)
     assert cached_reference(problem) == found
@@ -350,7 +350,7 @@ def test_perspective_scene_is_solved():
 
 def test_nmf_in_double_precision_equals_its_plain_form(scene):
     display = Display.load("additive-3")
-    problem = pose(replace(scene, views=scene.views[..., :24, :24].double()), display)
+    problem = pose(replace(scene, stored=scene.views[..., :24, :24].double()), display)
     layers = problem.flat_start()
     for _ in range(5):
         shown_views = display.projection.forward(layers.squeeze(-5))

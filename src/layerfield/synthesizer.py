@@ -164,7 +164,7 @@ def pose(field: LightField, display: Display, weights: Sequence[float] | None = 
             f"'{field.name}' has {found} views, display '{display.name}' expects {wanted}; "
             f"choose with --views {wanted} or --step, or change the views of the display"
         )
-    problem = Problem.of(display, field.views, weights)
+    problem = Problem.of(display, field.kept, weights)
     return problem if field.between is None else with_eyes(problem, display, field.between)
 
 

@@ -224,5 +224,5 @@ def _fingerprint(problem: Problem) -> str:
         facts = (*facts, problem.projection.magnifications)
     digest = hashlib.sha256(repr(facts).encode())
     for view in problem.views:
-        digest.update(memoryview(view.float().cpu().contiguous().numpy()))
+        digest.update(view.float().cpu().contiguous().numpy().tobytes())
     return digest.hexdigest()[:32]

@@ -60,8 +60,9 @@ def test_one_version_everywhere():
 def test_lower_rooms_do_not_import_higher_ones():
     """Data flows one way; a room is imported only by rooms listed after it."""
     order = [
-        "version", "nearest", "own_process", "toml_model", "geometry", "light_field", "projection",
-        "warped_projection", "panel_projection", "gram", "links", "composition", "transfer",
+        "version", "nearest", "own_process", "toml_model", "geometry", "kept_views", "light_field",
+        "projection", "back_projection", "warped_projection", "panel_projection", "gram",
+        "display_constants", "links", "composition", "transfer",
         "panel_spec", "display_spec", "display", "panels", "solve", "between", "tone", "solvers",
         "panel_images", "networks", "metrics", "provenance", "scenes", "io", "eyes", "animation",
         "plane_sweep", "disparity", "weights", "methods", "synthesizer", "reference", "evaluate",

@@ -135,7 +135,7 @@ class _BandOnly(Projection):
     """A projection of whose Gram matrix only the band is wanted: no symbol of the whole torus."""
 
     def symbol(self, size: tuple[int, int], weights: Sequence[float]) -> Tensor:
-        return torch.empty(0)
+        return torch.empty(0, 0, 0, 0)
 
 
 def _band(problem: Problem) -> Gram:

@@ -68,8 +68,7 @@ class TiledAdmm(FourierAdmm):
     (Tiles that are solved each to its end divide such light among the layers each in its own way.)
     The term for balance, of means over the whole torus, is taken there.
 
-    Four times the layers are in memory, where the whole takes ten. Given layers are a start without
-    a dual.
+    Four times the layers are in memory, where the whole takes ten.
 
     Args:
         size: pixels of a tile along an axis, overlap included, at most.
@@ -91,8 +90,8 @@ class TiledAdmm(FourierAdmm):
             for axis, (length, part) in enumerate(zip(band.torus, tile, strict=True))
         ]
         rows, columns = map(_spans, band.torus, tile, reach)
-        shadow = band.to_torus(problem.even_start() if start is None else start)
-        return TiledState(shadow, interleaved(resolvent), rho, band, rows, columns)
+        shadow = problem.even_start() if start is None else start + _dual(problem, start, rho)
+        return TiledState(band.to_torus(shadow), interleaved(resolvent), rho, band, rows, columns)
 
     def step(self, problem: Problem, state: AdmmState) -> AdmmState:
         assert isinstance(state, TiledState)
@@ -151,6 +150,15 @@ def _resolvent(problem: Problem, torus: tuple[int, int], rho: float) -> Tensor:
     for own in range(len(matrix)):
         matrix[own, own] += rho
     return 2 * rho * inverse(matrix)
+
+
+def _dual(problem: Problem, layers: Tensor, rho: float) -> Tensor:
+    """The dual of layers that are nearly optimal: u = -gradient / rho where a bound holds."""
+    gradient, (low, high) = torch.zeros_like(layers), problem.bounds
+    problem.projection.add_normal_(gradient, layers, problem.weights)
+    gradient -= problem.back_projected
+    held = ((layers <= low) & (gradient > 0)) | ((layers >= high) & (gradient < 0))
+    return torch.where(held, gradient / -rho, 0)
 
 
 def _tile_length(length: int, size: int) -> int:

@@ -162,7 +162,7 @@ def test_ssim_is_the_published_one(size):
     wanted = torch.rand(2, 3, *size, generator=generator)
     views = wanted + 0.3 * torch.rand(wanted.shape, generator=generator)
     expected = structural_similarity_index_measure(views.clamp(0, 1), wanted, data_range=1.0)
-    assert ssim(views, wanted) == pytest.approx(float(expected), abs=1e-5)
+    assert ssim(views, wanted) == pytest.approx(float(expected), abs=1e-5)  # pyright: ignore[reportArgumentType]
     assert ssim(wanted, wanted) == 1
 
 

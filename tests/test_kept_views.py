@@ -29,7 +29,7 @@ def codes(dtype=torch.uint8, count=9, size=(20, 24), seed=0):
 
 
 def display(link="additive", disparity=(1.0, 0.0, -1.0), views=(3, 3), **others):
-    return Display(DisparitySpec(link=link, disparity=disparity, views=views, **others))
+    return Display(DisparitySpec(link=link, disparity=disparity, views=views, **others))  # pyright: ignore[reportArgumentType]
 
 
 def as_floats(field):

@@ -9,9 +9,10 @@ and only the band has to be recomputed when layers change.
 """
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Inexact
 from torch import Tensor
 
 from layerfield.frequencies import Spectral, interleaved, multiply
@@ -62,10 +63,7 @@ class Gram:
         (height, width), (my, mx) = view_size, projection.margin
         self.layer_size = (height + 2 * my, width + 2 * mx)
         self.torus = (fast_length(self.layer_size[0]), fast_length(self.layer_size[1]))
-        symbol = projection.symbol(self.torus, weights)
-        self.symbol = symbol.to(like.device, _matching(symbol, like))
-        self.matrix = interleaved(self.symbol)
-        self.spectral = Spectral(self.symbol, self.torus, sum(weights))
+        self._like = like
         # Two strips of the torus make up the band: all columns below and above the views, then
         # what is left and right of them. Each holds the layer pixels its view pixels look at.
         (ty, tx), across = self.torus, (0, self.torus[1] + 2 * mx)
@@ -75,6 +73,18 @@ class Gram:
             for rows, columns in strips
             if rows[1] - rows[0] > 2 * my and columns[1] - columns[0] > 2 * mx
         ]
+
+    @cached_property
+    def symbol(self) -> Inexact[Tensor, "layer layer fy fx"]:
+        """G(f), in the precision of the views."""
+        symbol, like = self.projection.symbol(self.torus, self.weights), self._like
+        dtype = like.dtype.to_complex() if symbol.is_complex() else like.dtype
+        return symbol.to(like.device, dtype)
+
+    @cached_property
+    def spectral(self) -> Spectral:
+        """The same with its resolvents."""
+        return Spectral(self.symbol, self.torus, sum(self.weights))
 
     def to_torus(self, layers: Float[Tensor, "*batch ly lx"]) -> Float[Tensor, "*batch ty tx"]:
         """Pad layers with zeros to the torus."""
@@ -108,12 +118,8 @@ class Gram:
         self, layers: Float[Tensor, "*batch layer c ty tx"]
     ) -> Float[Tensor, "*batch layer c ty tx"]:
         """Return A^T M W A layers."""
-        spectrum = multiply(self.matrix, torch.fft.rfft2(layers))
+        spectrum = multiply(interleaved(self.symbol), torch.fft.rfft2(layers))
         return torch.fft.irfft2(spectrum, s=self.torus) - self.band(layers)
-
-
-def _matching(symbol: Tensor, like: Tensor) -> torch.dtype:
-    return like.dtype.to_complex() if symbol.is_complex() else like.dtype
 
 
 def _cut(values: Tensor, span: tuple[int, int], dim: int) -> Tensor:

@@ -99,7 +99,7 @@ def _normal_equations(
     for i, weight in enumerate(problem.weights):
         pixels = projection.windows(layers, i)
         others = link.derivative(pixels, index).unbind(dim=-4)
-        residual = problem.target[..., i, :, :, :] - link.compose(pixels).mean(dim=-4)
+        residual = problem.light(i) - link.compose(pixels).mean(dim=-4)
         for s in range(count):
             projection.scatter_(slope[s], others[s] * residual, i, index, weight / count)
             for t in range(s + 1):

@@ -95,7 +95,7 @@ def squares(problem: Problem, layers: Tensor) -> Float[Tensor, " batch"]:
     """Return the mean square error of every light field of a batch."""
     total = torch.zeros(len(layers))
     for i, weight in enumerate(problem.weights):
-        residual = problem.view(layers, i) - problem.target[..., i, :, :, :]
+        residual = problem.view(layers, i) - problem.light(i)
         total = total + weight * residual.square().mean(dim=(-3, -2, -1))
     return total / sum(problem.weights)
 

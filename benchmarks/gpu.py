@@ -11,6 +11,7 @@ take minutes, and are kept for the next run.
 import argparse
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import torch
@@ -34,10 +35,13 @@ DEFAULT = [name for name in ("fast", "fourier-admm") if name in METHODS]
 
 
 def main(out: Path, stream: Stream, methods: Sequence[str], device: torch.device) -> None:
+    (height, width), names = stream.size, ",".join(methods)
     views, bandwidth = pictures(stream, device), copy_bandwidth(device)
     facts = {
         "made_with": provenance(device),
-        "command": "python benchmarks/gpu.py " + out.name,
+        "command": f"python benchmarks/gpu.py {out.name} --device {device} "
+        f"--size {width}x{height} --methods {names}",
+        "stream": asdict(stream),
         "views": [25, 3, *stream.size],
         "copy_bandwidth_gb_s": bandwidth / 1e9,
     }
@@ -46,7 +50,7 @@ def main(out: Path, stream: Stream, methods: Sequence[str], device: torch.device
         best = references(views, display)
         for name in methods:
             rows.append(run_stream(views, display, best, (name, stream.budgets), stream, bandwidth))
-            write_record(out, facts, rows)
+            write_record(out, facts | {"rows": [row.as_record() for row in rows]})
             print(json.dumps(rows[-1].as_record()), flush=True)
     print(f"{made_on(device)}, {bandwidth / 1e9:.0f} GB/s; floor: bytes that must move over that")
     for line in stream_lines(rows):

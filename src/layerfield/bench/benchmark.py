@@ -64,8 +64,8 @@ def bench_methods(
 
     def keep(rows: Sequence[BenchRow]) -> None:
         summary = [each.as_record() for each in standings(rows)]
-        more: dict[str, Any] = {"command": command, "left_out": left_out, "summary": summary}
-        write_record(out / FRONTIER, facts, rows, **more)
+        record = facts | {"command": command, "left_out": left_out, "summary": summary}
+        write_record(out / FRONTIER, record | {"rows": [row.as_record() for row in rows]})
 
     rows = run_contest(fields, contest, known=known, keep=keep, tick=tick)
     keep(rows)
@@ -95,7 +95,8 @@ def bench_growth(
     known = [ScaleRow.of_record(each) for each in known_rows(out / SCALING, facts)]
 
     def keep(rows: Sequence[ScaleRow]) -> None:
-        write_record(out / SCALING, facts, rows, command=command)
+        record = facts | {"command": command, "rows": [row.as_record() for row in rows]}
+        write_record(out / SCALING, record)
 
     rows = run_growth(growth, known=known, keep=keep, tick=tick)
     keep(rows)

@@ -2,22 +2,14 @@
 
 import json
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from layerfield.io import whole_file
 from layerfield.metrics import finite
 
 FRONTIER, SCALING = "bench.json", "scaling.json"
-
-
-class Recorded(Protocol):
-    """A row that goes into a file."""
-
-    def as_record(self) -> dict[str, Any]:
-        """Return the row as plain data for JSON."""
-        ...
 
 
 def open_folder(out: Path, *, resume: bool, force: bool) -> None:
@@ -47,11 +39,8 @@ def open_folder(out: Path, *, resume: bool, force: bool) -> None:
         raise ValueError(f"cannot make {out}: {error.strerror}") from None
 
 
-def write_record(
-    path: Path, facts: Mapping[str, Any], rows: Sequence[Recorded], **more: Any
-) -> None:
-    """Write facts and rows; what is infinite in dB becomes null."""
-    record = {**facts, **more, "rows": [row.as_record() for row in rows]}
+def write_record(path: Path, record: Mapping[str, Any]) -> None:
+    """Write a record; what is infinite in dB becomes null."""
     with whole_file(path, force=True) as temporary:
         temporary.write_text(json.dumps(finite(record), indent=1, allow_nan=False) + "\n", "utf-8")
 

@@ -16,6 +16,7 @@ from five_fields import five_fields
 from layerfield import METHODS, Display
 from layerfield.bench.benchmark import bench_growth, bench_methods
 from layerfield.bench.frontier import BUDGETS, Contest, parse_contenders
+from layerfield.bench.reaching import reached_tables
 from layerfield.bench.records import open_folder
 from layerfield.bench.rows import Effort
 from layerfield.bench.scaling import Growth, growth_lines
@@ -31,7 +32,7 @@ def frontier(out: Path, effort: Effort) -> None:
     fields = list(five_fields().values())
     command = "python benchmarks/frontier.py OUT"
     rows = bench_methods(out, fields, contest, command=command, tick=say)
-    for title, table in standing_tables(rows):
+    for title, table in [*standing_tables(rows), *reached_tables(rows)]:
         print(title)
         show(table)
     print(*cap_lines(rows, effort.cap), sep="\n")

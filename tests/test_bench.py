@@ -22,6 +22,7 @@ from layerfield.bench.benchmark import bench_growth, bench_methods
 from layerfield.bench.figures import file_name
 from layerfield.bench.frontier import Contest, parse_contenders, run_contest
 from layerfield.bench.operations import OperationCounter
+from layerfield.bench.reaching import reached, reached_tables
 from layerfield.bench.records import known_rows, open_folder
 from layerfield.bench.road import EightBitViews, views_to_panels
 from layerfield.bench.rows import BenchRow, Effort, measured, with_peak
@@ -94,7 +95,7 @@ def test_times_are_those_of_runs_after_a_warm_up():
 def test_operations_of_known_sums():
     a, b = torch.ones(4, 8), torch.ones(8, 2)
     with OperationCounter() as counter:
-        a @ b
+        a.matmul(b)
     assert counter.operations == 2 * 4 * 8 * 2
     with OperationCounter() as counter:
         a.add_(a, alpha=0.5).mul(2).clone().view(-1).sum()
@@ -140,7 +141,9 @@ def test_methods_have_their_own_number_of_iterations_or_the_budgets():
     ]
 
 
-def test_a_method_is_left_out_where_it_does_not_serve(field, quick_references):
+def test_a_method_is_left_out_where_it_does_not_serve(field, monkeypatch):
+    known = Reference(1e-3, "best known", "test")
+    monkeypatch.setattr(frontier, "reference", lambda _: known)
     both = [DISPLAY, Display.load("multiplicative-3")]
     rows = run_contest([field], contest(("nmf", (1,)), ("sweeps", (1,)), displays=both))
     assert [(row.display, row.method) for row in rows] == [
@@ -182,14 +185,27 @@ def test_standings_are_over_the_same_fields():
     assert found.below == pytest.approx(10 * math.log10(1.1 * 1.2 * 2) / 3)
 
 
-def test_a_better_layer_improves_the_best_known(field, quick_references):
-    views, display = EightBitViews.of(field), Display.load("multiplicative-3")
-    rows = run_contest(
-        [field], contest(("fourier-admm", (20,)), ("nmf", ()), displays=[display, DISPLAY])
-    )
-    first = next(row for row in rows if row.display == display.name)
-    assert views.name == first.field
-    assert first.yardstick.mean_square_error <= first.least
+def test_time_to_quality_is_that_of_the_first_budget_near_enough():
+    rows = [row_of("x", "a", n, e) for n, e in ((5, 1.01e-3), (2, 1.02e-3), (1, 1.03e-3))]
+    rows = [replace(row, unrounded=1e-3) for row in rows]
+    near, far = reached([*rows, row_of("x", "b", 1, 2e-3)])
+    assert (near.iterations, near.unrounded_iterations) == (2, 1)
+    assert (far.iterations, far.seconds) == (None, None)
+    ((title, table),) = reached_tables([*rows, row_of("x", "b", 1, 2e-3)])
+    assert "0.1 dB" in title
+    assert table[0] == ["method", "x"]
+    assert table[1][1].endswith("(2)")
+    assert "not in" in table[2][1]
+
+
+def test_a_better_layer_improves_the_best_known(field, monkeypatch):
+    """Then all rows of that light field and display are compared with it."""
+    monkeypatch.setattr(frontier, "reference", lambda _: Reference(1.0, "best known", "test"))
+    monkeypatch.setattr(frontier, "store_reference", lambda *_: None)
+    rows = run_contest([field], contest(("nmf", (1, 5))))
+    first, last = rows
+    assert first.yardstick == last.yardstick == Reference(last.least, "best known", "nmf:5")
+    assert (first.excess > 0) and last.excess >= 0
 
 
 # --------------------------------------------------------------------------------- what is kept
@@ -303,13 +319,16 @@ def test_per_doubling_is_two_in_proportion():
 # --------------------------------------------------------------------------------- throughput
 
 
-def test_the_gpu_benchmark_runs_at_a_tiny_size_on_a_cpu(tmp_path, quick_references, capsys):
+def test_the_gpu_benchmark_runs_at_a_tiny_size_on_a_cpu(tmp_path, capsys, monkeypatch):
     place = importlib.util.spec_from_file_location("gpu", ROOT / "benchmarks" / "gpu.py")
     assert place is not None
     assert place.loader is not None
     gpu = importlib.util.module_from_spec(place)
     place.loader.exec_module(gpu)
-    stream = Stream(size=(24, 32), pictures=2, length=2, repeats=1, budgets=(1, 2))
+    known = [Reference(1e-3, "best known", "test")]
+    monkeypatch.setattr(gpu, "references", lambda *_: known)  # they take minutes
+    monkeypatch.setattr(gpu, "copy_bandwidth", lambda _: 1e9)
+    stream = Stream(size=(16, 24), pictures=1, length=1, repeats=1, budgets=(0, 1))
     gpu.main(tmp_path / "gpu.json", stream, ["fourier-admm"], CPU)
     found = json.loads((tmp_path / "gpu.json").read_text())
     pairs = [(row["link"], row["transfer"]) for row in found["rows"]]
@@ -374,7 +393,8 @@ def test_the_command_leaves_json_and_figures(desk):
 
 
 def test_paths_are_recorded_as_names(desk):
-    succeed("bench", desk / "my-views", *BENCH[2:], "--out", desk / "made")
+    words = ["--methods", "nmf:1", "--repeats", "1"]
+    succeed("bench", desk / "my-views", *words, "--out", desk / "made")
     text = (desk / "made" / "bench.json").read_text()
     assert str(desk) not in text
 

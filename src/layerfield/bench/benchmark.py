@@ -15,6 +15,7 @@ import torch
 from layerfield.bench.figures import frontier_charts
 from layerfield.bench.frontier import Contest, run_contest, unserved
 from layerfield.bench.growth_figure import growth_chart
+from layerfield.bench.reaching import reached
 from layerfield.bench.records import FRONTIER, SCALING, known_rows, write_record
 from layerfield.bench.rows import BenchRow, Effort
 from layerfield.bench.scaling import Growth, ScaleRow, run_growth
@@ -64,7 +65,9 @@ def bench_methods(
 
     def keep(rows: Sequence[BenchRow]) -> None:
         summary = [each.as_record() for each in standings(rows)]
-        record = facts | {"command": command, "left_out": left_out, "summary": summary}
+        near = [each.as_record() for each in reached(rows)]
+        record = facts | {"command": command, "left_out": left_out}
+        record |= {"summary": summary, "within_a_tenth_db": near}
         write_record(out / FRONTIER, record | {"rows": [row.as_record() for row in rows]})
 
     rows = run_contest(fields, contest, known=known, keep=keep, tick=tick)

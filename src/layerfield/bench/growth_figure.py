@@ -2,6 +2,8 @@
 
 from collections.abc import Iterator, Sequence
 
+from matplotlib.ticker import FixedLocator
+
 from layerfield.bench.figures import line_of
 from layerfield.bench.scaling import ScaleRow
 from layerfield.report.charts import REFERENCE
@@ -27,13 +29,20 @@ def growth_chart(rows: Sequence[ScaleRow], made_on: str) -> Chart:
     """
     timed = [row for row in rows if row.seconds is not None]
     panels = [
-        Panel(axis, _UNITS[axis], f"seconds a picture; {label(made_on)}", list(lines), log_x=True)
+        Panel(
+            axis,
+            _UNITS[axis],
+            f"seconds a picture; {label(made_on)}",
+            [*_lines(timed, axis), _in_proportion(timed, axis)],
+            log_x=True,
+        )
         for axis in dict.fromkeys(row.axis for row in timed)
-        if (lines := [*_lines(timed, axis), _in_proportion(timed, axis)])
     ]
     figure = chart("", panels, log_y=True, size=_SIZE)
-    for axes in figure.axes:
+    for axes, panel in zip(figure.axes, panels, strict=True):
         plain_numbers(axes.xaxis, *axes.get_xlim())
+        if panel.title != "pixels":
+            axes.xaxis.set_major_locator(FixedLocator(_amounts(timed, panel.title)))
         plain_numbers(axes.yaxis, *axes.get_ylim())
     return Chart(
         "scaling",
@@ -53,10 +62,14 @@ def _lines(rows: Sequence[ScaleRow], axis: str) -> Iterator[Line]:
 
 
 def _in_proportion(rows: Sequence[ScaleRow], axis: str) -> Line:
-    """A line of slope one through the last point of the first curve."""
+    """A line of slope one from the first point of the first curve."""
     own = [row for row in rows if row.axis == axis]
     x, y = _points([r for r in own if (r.method, r.link) == (own[0].method, own[0].link)])
-    return Line("in proportion", [x[0], x[-1]], [y[-1] * x[0] / x[-1], y[-1]], REFERENCE, ":")
+    return Line("in proportion", [x[0], x[-1]], [y[0], y[0] * x[-1] / x[0]], REFERENCE, ":")
+
+
+def _amounts(rows: Sequence[ScaleRow], axis: str) -> list[int]:
+    return sorted({row.amount for row in rows if row.axis == axis})
 
 
 def _points(rows: Sequence[ScaleRow]) -> tuple[list[float], list[float]]:

@@ -9,6 +9,7 @@ import torch
 import typer
 
 from layerfield.bench.frontier import BUDGETS, Contest, parse_budgets, parse_contenders, unserved
+from layerfield.bench.reaching import reached_tables
 from layerfield.bench.records import open_folder
 from layerfield.bench.rows import Effort
 from layerfield.bench.scaling import Growth, growth_lines
@@ -95,7 +96,7 @@ def bench_command(
     with status() as tick:
         rows = bench_methods(out, fields, contest, command=command, tick=tick) if fields else []
         grown = bench_growth(out, growth, command=command, tick=tick) if scaling else []
-    for title, table in standing_tables(rows):
+    for title, table in [*standing_tables(rows), *reached_tables(rows)]:
         say(title)
         print_lines(table)
     for line in cap_lines(rows, cap):

@@ -61,4 +61,7 @@ if __name__ == "__main__":
     parser.add_argument("--resume", action="store_true")
     given = parser.parse_args()
     open_folder(given.out, resume=given.resume, force=False)
-    (scaling if given.scaling else frontier)(given.out, Effort(memory=not given.scaling))
+    if given.scaling:
+        scaling(given.out, Effort(repeats=3, cap=120.0))
+    else:
+        frontier(given.out, Effort(memory=True))

@@ -36,12 +36,14 @@ class Stream:
         pictures: different ones, which take turns.
         length: of a run, pictures.
         repeats: runs, of which the median counts.
-        quality: the most excess error of the 8-bit layers, on the worst picture.
+        judged: how many of them quality is measured on; their references take minutes each.
+        quality: the most excess error of the 8-bit layers, on the worst of those.
         budgets: numbers of iterations to try, increasing; the first that reaches it is timed.
     """
 
     size: tuple[int, int] = (1080, 1920)
-    pictures: int = 3
+    pictures: int = 4
+    judged: int = 1
     length: int = 30
     repeats: int = 5
     quality: float = 0.05
@@ -57,7 +59,7 @@ class StreamRow:
         transfer: what values stand for; "none": they are taken as light.
         method: title.
         iterations: the fewest that reach the quality; the most that were tried if none do.
-        excess: of the 8-bit layers over the reference, worst picture.
+        excess: of the 8-bit layers over the reference, on the worst of the judged pictures.
         reached: whether that is the quality asked for.
         reference: kind of what errors are compared with.
         seconds: of a picture, one after the other without waiting, medians over runs.
@@ -131,7 +133,7 @@ def copy_bandwidth(device: torch.device, size: int = _COPY_BYTES) -> float:
 
 
 def references(views: Sequence[EightBitViews], display: Display) -> list[Reference]:
-    """Return the reference of every picture."""
+    """Return the references of pictures."""
     return [reference(pose(each.light_field(), display)) for each in views]
 
 
@@ -148,7 +150,7 @@ def run_stream(
     Args:
         views: pictures, on the device.
         display: that shows them.
-        best: reference of every picture.
+        best: references of the first pictures, those that are judged.
         method: name, and numbers of iterations to try.
         stream: how.
         bandwidth: of the device, bytes/s.
@@ -156,9 +158,8 @@ def run_stream(
     name, tried = method
     device, error, iterations = views[0].codes.device, math.inf, tried[-1]
     for iterations in tried:
-        error = max(
-            _excess(v, display, name, iterations, b) for v, b in zip(views, best, strict=True)
-        )
+        judged = zip(views[: len(best)], best, strict=True)
+        error = max(_excess(each, display, name, iterations, known) for each, known in judged)
         if error <= stream.quality:
             break
 

@@ -196,6 +196,9 @@ def test_time_to_quality_is_that_of_the_first_budget_near_enough():
     assert table[0] == ["method", "x"]
     assert table[1][1].endswith("(2)")
     assert "not in" in table[2][1]
+    only = replace(row_of("x", "c", 7, 1.03e-3), unrounded=1e-3)
+    ((_, table),) = reached_tables([only])
+    assert table[1][1].startswith("unrounded ")
 
 
 def test_a_better_layer_improves_the_best_known(field, monkeypatch):

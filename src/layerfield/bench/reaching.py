@@ -85,4 +85,6 @@ def reached_tables(rows: Sequence[BenchRow]) -> Iterator[tuple[str, list[list[st
 def _cell(found: Reached) -> str:
     if found.seconds is not None:
         return f"{found.seconds:.3g} ({found.iterations})"
+    if found.unrounded_seconds is not None:
+        return f"unrounded {found.unrounded_seconds:.3g} ({found.unrounded_iterations})"
     return f"not in {found.tried:.3g}" + (" (cap)" if found.capped else "")

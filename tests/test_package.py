@@ -67,7 +67,7 @@ def test_lower_rooms_do_not_import_higher_ones():
         "networks", "metrics", "provenance", "scenes", "io", "eyes", "animation", "plane_sweep",
         "disparity", "weights", "methods", "fast", "synthesizer", "reference", "evaluate",
         "remarks", "observers", "stored_result", "result", "spectrum", "design", "training",
-        "report", "viewer", "demo", "reproduction", "cli", "__main__",
+        "report", "bench", "viewer", "demo", "reproduction", "cli", "__main__",
     ]  # fmt: skip
     source = ROOT / "src" / "layerfield"
     for file in source.rglob("*.py"):

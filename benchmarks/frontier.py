@@ -1,0 +1,67 @@
+"""Quality against time of every method on the five light fields, and how time grows.
+
+    python benchmarks/frontier.py OUT [--resume]
+    python benchmarks/frontier.py OUT --scaling [--resume]
+
+The same as `layerfield bench`, which reads all light fields alike; these five want options of their
+own. OUT is a folder with bench.json (or scaling.json) and figures.
+"""
+
+import argparse
+from pathlib import Path
+
+import torch
+from five_fields import five_fields
+
+from layerfield import METHODS, Display
+from layerfield.bench.benchmark import bench_growth, bench_methods
+from layerfield.bench.frontier import BUDGETS, Contest, parse_contenders
+from layerfield.bench.reaching import reached_tables
+from layerfield.bench.records import open_folder
+from layerfield.bench.rows import Effort
+from layerfield.bench.scaling import Growth, growth_lines
+from layerfield.bench.standing import cap_lines, standing_tables
+
+PRESETS = ("additive-3", "multiplicative-3")
+CPU = torch.device("cpu")
+
+
+def frontier(out: Path, effort: Effort) -> None:
+    models = [Display.load(name) for name in PRESETS]
+    contest = Contest(models, parse_contenders(",".join(METHODS), BUDGETS), effort, CPU)
+    fields = list(five_fields().values())
+    command = "python benchmarks/frontier.py OUT"
+    rows = bench_methods(out, fields, contest, command=command, tick=say)
+    for title, table in [*standing_tables(rows), *reached_tables(rows)]:
+        print(title)
+        show(table)
+    print(*cap_lines(rows, effort.cap), sep="\n")
+
+
+def scaling(out: Path, effort: Effort) -> None:
+    methods = [("fourier-admm", 10)] + [("fast", 3)] * ("fast" in METHODS)
+    growth = Growth(("additive", "multiplicative"), methods, effort, CPU)
+    command = "python benchmarks/frontier.py OUT --scaling"
+    show(growth_lines(bench_growth(out, growth, command=command, tick=say)))
+
+
+def say(line: str) -> None:
+    print(line, flush=True)
+
+
+def show(table: list[list[str]]) -> None:
+    for line in table:
+        print("  ".join(f"{cell:>12}" for cell in line))
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser()
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--scaling", action="store_true")
+    parser.add_argument("--resume", action="store_true")
+    given = parser.parse_args()
+    open_folder(given.out, resume=given.resume, force=False)
+    if given.scaling:
+        scaling(given.out, Effort(repeats=3, cap=120.0))
+    else:
+        frontier(given.out, Effort(memory=True))

@@ -13,9 +13,9 @@ from pathlib import Path
 import torch
 from five_fields import five_fields
 
-from layerfield import METHODS, Display
+from layerfield import Display
 from layerfield.bench.benchmark import bench_growth, bench_methods
-from layerfield.bench.frontier import BUDGETS, Contest, parse_contenders
+from layerfield.bench.frontier import Contest
 from layerfield.bench.reaching import reached_tables
 from layerfield.bench.records import open_folder
 from layerfield.bench.rows import Effort
@@ -23,12 +23,23 @@ from layerfield.bench.scaling import Growth, growth_lines
 from layerfield.bench.standing import cap_lines, standing_tables
 
 PRESETS = ("additive-3", "multiplicative-3")
+CONTENDERS = {
+    "fast": (1, 2, 3, 4, 5, 6, 8, 10),
+    "fourier-admm": (1, 2, 3, 5, 7, 10, 20),
+    "sweeps": (1, 2, 3, 5, 10, 20),
+    "nmf": (5, 20, 50),
+    "ntf": (2, 5, 20),
+    "sart": (2, 10, 30),
+    "gradient": (5, 20, 50),
+    "unet": (0,),
+    "stacked-cnn": (0,),
+}
 CPU = torch.device("cpu")
 
 
 def frontier(out: Path, effort: Effort) -> None:
     models = [Display.load(name) for name in PRESETS]
-    contest = Contest(models, parse_contenders(",".join(METHODS), BUDGETS), effort, CPU)
+    contest = Contest(models, list(CONTENDERS.items()), effort, CPU)
     fields = list(five_fields().values())
     command = "python benchmarks/frontier.py OUT"
     rows = bench_methods(out, fields, contest, command=command, tick=say)
@@ -39,7 +50,7 @@ def frontier(out: Path, effort: Effort) -> None:
 
 
 def scaling(out: Path, effort: Effort) -> None:
-    methods = [("fourier-admm", 10)] + [("fast", 3)] * ("fast" in METHODS)
+    methods = [("fourier-admm", 10), ("fast", 4)]
     growth = Growth(("additive", "multiplicative"), methods, effort, CPU)
     command = "python benchmarks/frontier.py OUT --scaling"
     show(growth_lines(bench_growth(out, growth, command=command, tick=say)))
@@ -62,6 +73,6 @@ if __name__ == "__main__":
     given = parser.parse_args()
     open_folder(given.out, resume=given.resume, force=False)
     if given.scaling:
-        scaling(given.out, Effort(repeats=3, cap=120.0))
+        scaling(given.out, Effort(repeats=3, cap=6.0))
     else:
-        frontier(given.out, Effort(memory=True))
+        frontier(given.out, Effort(repeats=3, cap=6.0))

@@ -41,7 +41,7 @@ def display(text: str) -> Display:
 UNSEEN = {
     "many views": 'link = "{}"\nviews = [7, 7]\ndisparity = [1.5, 0.5, -0.5, -1.5]',
     "few views": 'link = "{}"\nviews = [3, 3]\ndisparity = [0.5, -0.5]',
-    "one row, not symmetric": 'link = "{}"\nviews = [1, 4]\ndisparity = [1.3, 0.2, -0.4]',
+    "linear light": 'link = "{}"\nviews = [5, 5]\ndisparity = [1.2, 0.1, -0.9]\ntransfer = "srgb"',
 }
 
 

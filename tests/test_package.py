@@ -17,6 +17,7 @@ from layerfield import DisparitySpec, Display, PhysicalSpec, preset_names
 from layerfield.display_spec import format_spec, parse_spec
 from layerfield.result import write_views
 from layerfield.training.recipe import read_recipe
+from layerfield.training.steps_recipe import read_steps_recipe
 
 ROOT = Path(__file__).parents[1]
 
@@ -187,6 +188,13 @@ def test_every_command_of_the_page_on_networks_runs(my_views):
     for row in re.findall(r"^\| (`.*?) \|", page.split("| recipe |")[1], flags=re.MULTILINE):
         for recipe in re.findall("`(.*?)`", row):
             read_recipe(recipe)
+
+
+def test_every_command_of_the_page_on_fast_runs(my_views, quick_references):
+    """But for the training, whose recipe is read only."""
+    commands = commands_in((ROOT / "docs" / "fast.md").read_text("utf-8"))
+    assert read_steps_recipe(commands[-1].split()[2]).link == "additive"
+    runs(commands[:-1])
 
 
 def test_every_command_of_the_page_on_eyes_runs(tmp_path, monkeypatch, quick_references):

@@ -39,8 +39,8 @@ class EightBitViews:
         return self.codes.shape[-2], self.codes.shape[-1]
 
     def light_field(self) -> LightField:
-        """Return what methods take; the only place where 8-bit views become floats."""
-        return LightField(self.codes.float() / 255, self.grid, name=self.name, bits=BITS)
+        """Return what methods take; 8-bit views stay such as far as a method lets them."""
+        return LightField(self.codes, self.grid, name=self.name, bits=BITS)
 
 
 @dataclass(frozen=True, eq=False)

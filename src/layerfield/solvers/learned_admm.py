@@ -76,10 +76,10 @@ class LearnedAdmm:
     after: FourierAdmm = field(default_factory=FourierAdmm)
 
     def init(self, problem: Problem, start: LearnedState | Tensor | None) -> LearnedState:
-        if isinstance(start, LearnedState):
-            return start
         if start is None:
             return LearnedState(problem.gram.to_torus(problem.even_start()))
+        if isinstance(start, LearnedState):
+            return start if start.after else self._handed_on(problem, self.layers(problem, start))
         return self._handed_on(problem, start)
 
     def _handed_on(self, problem: Problem, layers: Tensor) -> LearnedState:

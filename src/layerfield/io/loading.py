@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import torch
 from jaxtyping import Float, Num
 from torch import Tensor
@@ -108,7 +109,8 @@ def _decode(
         picture = first if number == known_number else stored.read(number)
         _refuse_difference(picture, first, stored.label(number), stored.label(known_number))
         notes += picture.notes
-        pixels = torch.from_numpy(to_planes(picture.pixels, stored.label(number)))
+        planes = to_planes(picture.pixels, stored.label(number))
+        pixels = torch.from_numpy(np.require(planes, requirements=["W"]))  # torch wants to write
         view = reframe(pixels if reframe.is_cut else _values(pixels), place)
         if place == 0:
             views = _allocate(len(chosen), view)

@@ -38,6 +38,15 @@ def _is_smooth(number: int) -> bool:
     return number == 1
 
 
+def symbol_of(
+    projection: Projection, weights: Sequence[float], torus: tuple[int, int], like: Tensor
+) -> Inexact[Tensor, "layer layer fy fx"]:
+    """Return G(f) of a torus, in the precision and on the device of `like`."""
+    symbol = projection.symbol(torus, weights)
+    dtype = like.dtype.to_complex() if symbol.is_complex() else like.dtype
+    return symbol.to(like.device, dtype)
+
+
 class Gram:
     """A^T M W A for views of one size, on a torus with fast Fourier lengths.
 
@@ -77,9 +86,7 @@ class Gram:
     @cached_property
     def symbol(self) -> Inexact[Tensor, "layer layer fy fx"]:
         """G(f), in the precision of the views."""
-        symbol, like = self.projection.symbol(self.torus, self.weights), self._like
-        dtype = like.dtype.to_complex() if symbol.is_complex() else like.dtype
-        return symbol.to(like.device, dtype)
+        return symbol_of(self.projection, self.weights, self.torus, self._like)
 
     @cached_property
     def spectral(self) -> Spectral:

@@ -7,8 +7,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.frequencies import interleaved, inverse, multiply
-from layerfield.gram import Gram, fast_length
+from layerfield.frequencies import Spectral, multiply
+from layerfield.gram import fast_length, symbol_of
 from layerfield.solve import Problem
 from layerfield.solvers.fourier_admm import AdmmState, FourierAdmm
 
@@ -45,12 +45,10 @@ class TiledState(AdmmState):
     """Iterate and dual on the torus of the whole picture; the resolvent is that of a tile.
 
     Args:
-        band: A^T M W A of the whole picture, of which only the band is known.
         rows: of the tiles.
         columns: of the tiles.
     """
 
-    band: Gram
     rows: tuple[Span, ...]
     columns: tuple[Span, ...]
 
@@ -80,24 +78,26 @@ class TiledAdmm(FourierAdmm):
     def init(self, problem: Problem, start: AdmmState | Tensor | None) -> AdmmState:
         if isinstance(start, AdmmState):
             return start
-        rho = sum(problem.weights) * (self.penalty if start is None else self.warm_penalty)
-        band = problem.gram
-        tile = [_tile_length(length, self.size) for length in band.torus]
-        resolvent = _resolvent(problem, (tile[0], tile[1]), rho)
+        penalty = self.penalty if start is None else self.warm_penalty
+        gram, weights = problem.gram, problem.weights
+        rho, whole = penalty * sum(weights), gram.torus
+        tile = (_tile_length(whole[0], self.size), _tile_length(whole[1], self.size))
+        symbol = symbol_of(gram.projection, weights, tile, problem.views.like)
+        resolvent = Spectral(symbol, tile, sum(weights)).resolvent(penalty, balance=0)
         reach = [
-            0 if part == length else _reach(resolvent, (tile[0], tile[1]), axis, self.rest)
-            for axis, (length, part) in enumerate(zip(band.torus, tile, strict=True))
+            0 if tile[axis] == whole[axis] else _reach(resolvent, tile, axis, self.rest)
+            for axis in range(2)
         ]
-        rows, columns = map(_spans, band.torus, tile, reach)
+        rows, columns = map(_spans, whole, tile, reach)
         shadow = problem.even_start() if start is None else start + _dual(problem, start, rho)
-        return TiledState(band.to_torus(shadow), interleaved(resolvent), rho, band, rows, columns)
+        return TiledState(gram.to_torus(shadow), resolvent, rho, rows, columns)
 
     def step(self, problem: Problem, state: AdmmState) -> AdmmState:
         assert isinstance(state, TiledState)
         share, result = 1 / (2 * state.rho), state.shadow.clamp(*problem.bounds)
         right = torch.sub(result, state.shadow, alpha=0.5)
-        state.band.from_torus(right).add_(problem.back_projected, alpha=share)
-        state.band.add_band_(right, result, share)
+        problem.gram.from_torus(right).add_(problem.back_projected, alpha=share)
+        problem.gram.add_band_(right, result, share)
         shift = self._balancing(problem, state, right)
         for rows in state.rows:
             strip = rows.read(right, -2)
@@ -117,25 +117,11 @@ class TiledAdmm(FourierAdmm):
     ) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         raise NotImplementedError("the certificate of an optimum comes from FourierAdmm")
 
-    def layers(self, problem: Problem, state: AdmmState) -> Float[Tensor, "*batch 1 layer c ly lx"]:
-        assert isinstance(state, TiledState)
-        return state.band.from_torus(state.shadow).clamp(*problem.bounds)
-
     def _balancing(self, problem: Problem, state: AdmmState, right: Tensor) -> Tensor:
         """What the term for balance, at frequency zero of the whole torus, adds to a solution."""
         pull = self.balance * sum(problem.weights)
         mean = right.mean(dim=(-2, -1), keepdim=True)
         return (mean - mean.mean(dim=-4, keepdim=True)) * (-2 * pull / (state.rho + pull))
-
-
-def _resolvent(problem: Problem, torus: tuple[int, int], rho: float) -> Tensor:
-    """2 rho (G + rho I)^-1."""
-    symbol, like = problem.projection.symbol(torus, problem.weights), problem.views.like
-    dtype = like.dtype.to_complex() if symbol.is_complex() else like.dtype
-    matrix = symbol.to(like.device, dtype)
-    for own in range(len(matrix)):
-        matrix[own, own] += rho
-    return 2 * rho * inverse(matrix)
 
 
 def _dual(problem: Problem, layers: Tensor, rho: float) -> Tensor:
@@ -156,7 +142,10 @@ def _tile_length(length: int, size: int) -> int:
 
 def _reach(resolvent: Tensor, torus: tuple[int, int], axis: int, rest: float) -> int:
     """Return how far the kernel of a resolvent reaches along an axis, but for the rest of it."""
-    kernel = torch.fft.irfft2(resolvent, s=torus).abs().sum(dim=1).amax(dim=0)
+    layers = torch.eye(len(resolvent), device=resolvent.device)[..., None, None, None]
+    impulses = layers.expand(-1, -1, 1, torus[0], torus[1] // 2 + 1)  # one a layer, their spectrum
+    answers = multiply(resolvent, impulses.to(resolvent.dtype.to_complex()))[:, :, 0]
+    kernel = torch.fft.irfft2(answers, s=torus).abs().sum(dim=1).amax(dim=0)
     along = kernel.sum(dim=1 - axis).double().cpu()
     places = torch.arange(len(along))
     share = torch.zeros_like(along).index_add_(0, torch.minimum(places, len(along) - places), along)

@@ -29,9 +29,8 @@ from layerfield.bench.throughput import (
     stream_lines,
 )
 from layerfield.provenance import provenance
-from layerfield.synthesizer import METHODS
 
-DEFAULT = [name for name in ("fast", "fourier-admm") if name in METHODS]
+DEFAULT = ("fast", "fourier-admm")
 
 
 def main(out: Path, stream: Stream, methods: Sequence[str], device: torch.device) -> None:

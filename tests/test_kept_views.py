@@ -17,7 +17,7 @@ from layerfield.reference import cached_reference, reference
 from layerfield.result import make_result
 from layerfield.solve import Problem
 from layerfield.synthesizer import pose
-from layerfield.transfer import Gamma, Srgb
+from layerfield.transfer import NONE, Gamma, Srgb
 
 DTYPES = sorted(LARGEST, key=str)
 
@@ -52,6 +52,11 @@ def test_a_law_on_the_table_is_the_law_on_the_values(dtype, law):
     assert kept.stored.dtype == dtype
     assert torch.equal(kept.all(), law(KeptViews(codes(dtype)).all()))
     assert kept.like.dtype == kept.all().dtype
+
+
+def test_a_law_that_changes_nothing_leaves_whole_numbers_alone():
+    views = KeptViews(torch.zeros(2, 1, 3, 3, dtype=torch.uint8))
+    assert views.then(NONE.decode) is views
 
 
 def test_floats_are_kept_as_they_are():

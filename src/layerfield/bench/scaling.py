@@ -198,17 +198,22 @@ def run_growth(
         tick: called with a word on what is being done.
     """
     rows = [row for row in known if row.seconds is not None]
+    done = {(row.series, row.amount) for row in rows}
     for case in growth.sizes:
+        blanks = [
+            (_blank(case, link, spelled(*method)), method)
+            for link in growth.links
+            for method in growth.methods
+        ]
+        wanted = [pair for pair in blanks if (pair[0].series, case.amount) not in done]
+        if not wanted:
+            continue
         views = None if _too_large(case, growth.device) else case.views(growth.device)
-        for link in growth.links:
-            for method in growth.methods:
-                blank = _blank(case, link, spelled(*method))
-                earlier = [row for row in rows if row.series == blank.series]
-                if case.amount in [row.amount for row in earlier]:
-                    continue
-                tick(f"{case.axis} {case.amount}, {link}: {blank.method}")
-                rows.append(_scaled(blank, case, views, method, earlier, growth))
-                keep(rows)
+        for blank, method in wanted:
+            tick(f"{case.axis} {case.amount}, {blank.link}: {blank.method}")
+            earlier = [row for row in rows if row.series == blank.series]
+            rows.append(_scaled(blank, case, views, method, earlier, growth))
+            keep(rows)
     return rows
 
 

@@ -3,8 +3,10 @@
 Views without borders make the Gram matrix of layers one such matrix, layer by layer.
 """
 
+from functools import cached_property
+
 import torch
-from jaxtyping import Complex, Inexact
+from jaxtyping import Complex, Float, Inexact
 from torch import Tensor
 
 _MOST_KEPT = 1 << 29  # bytes of the resolvents of a display
@@ -50,6 +52,19 @@ class Spectral:
             self._coarser[times] = Spectral(low(self.symbol, torus), torus, self.weight)
         return self._coarser[times]
 
+    @cached_property
+    def window(self) -> Float[Tensor, "fy fx"]:
+        """1 at frequency zero, falling to 0 at the highest along each axis: cos^2(pi f).
+
+        Pixels are too coarse for what is clamped on them: sharp edges fall between them and turn up
+        at other frequencies, the more so the nearer to the highest, and otherwise where the picture
+        lies otherwise. With this window layers move as the picture does.
+        """
+        (height, width), like = self.torus, self.symbol.real
+        fy, fx = torch.fft.fftfreq(height), torch.fft.rfftfreq(width)
+        along_y, along_x = (torch.cos(torch.pi * f).square().to(like) for f in (fy, fx))
+        return along_y[:, None] * along_x
+
 
 def resolvent(spectral: Spectral, penalty: float, balance: float) -> Tensor:
     """Return what `Spectral.resolvent` keeps."""
@@ -71,16 +86,24 @@ def low(
     return result
 
 
-def put_low_(
+def low_part(
+    spectrum: Complex[Tensor, "*batch fy fx"], coarser: Spectral
+) -> Complex[Tensor, "*batch gy gx"]:
+    """Return the share of a spectrum that is solved on larger pixels: the window of its lowest."""
+    return low(spectrum, coarser.torus) * coarser.window
+
+
+def replace_low_part_(
     spectrum: Complex[Tensor, "*batch fy fx"],
-    lower: Complex[Tensor, "*batch gy gx"],
-    torus: tuple[int, int],
+    other: Complex[Tensor, "*batch gy gx"],
+    coarser: Spectral,
 ) -> None:
-    """Replace the low frequencies of a spectrum, in place; the reverse of `low`."""
-    height, (up, down, across) = torus[0], _kept_frequencies(torus)
-    spectrum[..., :up, :across] = lower[..., :up, :across]
-    start = spectrum.shape[-2] - down
-    spectrum[..., start:, :across] = lower[..., height - down :, :across]
+    """Put another in the place of the `low_part` of a spectrum, in place."""
+    height, (up, down, across) = coarser.torus[0], _kept_frequencies(coarser.torus)
+    below, rest = spectrum.shape[-2] - down, 1 - coarser.window
+    for here, there in ((slice(up), slice(up)), (slice(below, None), slice(height - down, None))):
+        part = spectrum[..., here, :across]
+        part.mul_(rest[there, :across]).add_(other[..., there, :across])
 
 
 def _kept_frequencies(torus: tuple[int, int]) -> tuple[int, int, int]:

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.frequencies import Spectral, low, multiply, put_low_
+from layerfield.frequencies import Spectral, low_part, multiply, replace_low_part_
 from layerfield.solve import Problem
 from layerfield.solvers.fourier_admm import AdmmState, FourierAdmm
 
@@ -60,8 +60,9 @@ class LearnedAdmm:
     step, for the least error after the last.
 
     The first step starts from b / (W K): every layer shows what its viewers see on average. That
-    spectrum is at hand. Its low frequencies, where light has to find its layer among bounds, are
-    solved on pixels four times as large, by steps that cost a sixteenth each.
+    spectrum is at hand. A share of its low frequencies, where light has to find its layer among
+    bounds, is taken out (`Spectral.window`) and solved by itself on pixels four times as large, by
+    steps that cost a sixteenth each.
 
     Behind the last learned step, and from layers that are given, the direct solver goes on.
 
@@ -115,8 +116,8 @@ class LearnedAdmm:
         spectrum.mul_(a * (1 / rho + share) / 2).add_(seen, alpha=(1 - a) * share)
         coarser = coarse_grid(spectral)
         if coarser is not None and self.coarse:
-            seen = low(seen, coarser.torus)
-            put_low_(spectrum, self._solved_coarsely(coarser, seen, bounds), coarser.torus)
+            solved = self._solved_coarsely(coarser, low_part(seen, coarser), bounds)
+            replace_low_part_(spectrum, solved, coarser)
         return torch.fft.irfft2(spectrum, s=spectral.torus)
 
     def _solved_coarsely(

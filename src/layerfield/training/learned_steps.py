@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from layerfield.frequencies import Spectral, low, multiply, put_low_, resolvent
+from layerfield.frequencies import Spectral, low_part, multiply, replace_low_part_, resolvent
 from layerfield.gram import Gram
 from layerfield.solve import Problem
 from layerfield.solvers.learned_admm import BALANCE, COARSE, Constants, LearnedAdmm, coarse_grid
@@ -87,12 +87,12 @@ def _first(
     spectrum = start + a * (_solved(spectral, seen + rho * start, penalty) - start)
     coarser = coarse_grid(spectral)
     if coarser is not None and len(coarse):
-        back = torch.fft.irfft2(low(seen, coarser.torus), s=coarser.torus) / pixels
+        back = torch.fft.irfft2(low_part(seen, coarser), s=coarser.torus) / pixels
         shadow, before = share * back, None
         for each in coarse:
             moved = _moved(coarser, back, shadow, before, each, bounds)
             shadow, before = moved, shadow
-        put_low_(spectrum, torch.fft.rfft2(shadow) * pixels, coarser.torus)
+        replace_low_part_(spectrum, torch.fft.rfft2(shadow) * pixels, coarser)
     return torch.fft.irfft2(spectrum, s=spectral.torus)
 
 

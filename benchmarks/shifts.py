@@ -1,0 +1,71 @@
+"""How far layers move alike when the views move: PSNR of one against the other.
+
+    python benchmarks/shifts.py OUT.json [--methods fast,sweeps]
+
+A procedural scene of 384x512 px is moved by 1, 2, 5, 8 and 15 px down and to the right, as by
+scrolling: what leaves on one side makes room for something new on the other. Layers are moved back
+and compared, at least 32 and 64 px from the border: light of low frequency depends on what is there
+and that changes.
+"""
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+
+from layerfield import Display, LightField, procedural_light_field, synthesize
+from layerfield.bench.frontier import unserved
+from layerfield.io import whole_file
+from layerfield.metrics import decibels
+from layerfield.provenance import provenance
+from layerfield.synthesizer import METHODS
+
+PRESETS = ("additive-3", "multiplicative-3", "polarisation-3")
+SIZE, GRID, SEED = (384, 512), (5, 5), 21
+SHIFTS = (1, 2, 5, 8, 15)
+BORDERS = (32, 64)
+
+
+def moved(whole: LightField, shift: int) -> LightField:
+    """Return views whose contents lie `shift` pixels further up and to the left."""
+    height, width = SIZE
+    cut = whole.stored[..., shift : shift + height, shift : shift + width]
+    return LightField(cut.contiguous(), GRID)
+
+
+def likeness(first: torch.Tensor, later: torch.Tensor, shift: int, border: int) -> float:
+    height, width = first.shape[-2:]
+    there = first[..., shift:, shift:][..., border:-border, border:-border]
+    here = later[..., : height - shift, : width - shift][..., border:-border, border:-border]
+    return decibels((there - here).square().mean().item())
+
+
+def main(out: Path, methods: Sequence[str]) -> None:
+    size = (SIZE[0] + max(SHIFTS), SIZE[1] + max(SHIFTS))
+    whole = procedural_light_field(size=size, grid=GRID, disparity_range=(-1.5, 1.5), seed=SEED)
+    rows = []
+    for preset in PRESETS:
+        display = Display.load(preset)
+        for name in methods:
+            if unserved(name, display) is not None:
+                continue
+            views = {n: moved(whole, n) for n in (0, *SHIFTS)}
+            layers = {n: synthesize(views[n], display, method=name).layers for n in views}
+            for border in BORDERS:
+                psnr = {n: round(likeness(layers[0], layers[n], n, border), 2) for n in SHIFTS}
+                rows.append({"display": preset, "method": name, "border": border, "psnr": psnr})
+                print(preset, name, border, psnr, flush=True)
+            facts = {"command": "python benchmarks/shifts.py OUT.json", "size": SIZE, "seed": SEED}
+            record = facts | {"made_with": provenance(torch.device("cpu")), "rows": rows}
+            with whole_file(out, force=True) as path:
+                path.write_text(json.dumps(record, indent=1), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser()
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--methods", default=",".join(METHODS))
+    given = parser.parse_args()
+    main(given.out, given.methods.split(","))

@@ -45,6 +45,7 @@ def test_public_names():
         "solve",
         "ssim",
         "synthesize",
+        "synthesize_frames",
         "__version__",
     ]
     for name in layerfield.__all__:

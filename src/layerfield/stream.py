@@ -30,7 +30,7 @@ from layerfield.solvers.nearest_shifts import NearestShifts
 from layerfield.synthesizer import find_method, pose
 
 WARM_ITERATIONS = 3
-_CUT = 0.5  # share of the variance of a frame that the one before, moved, does not explain
+_CUT = 0.3  # share of the variance of a frame that the one before, moved, does not explain
 _DARKEST = 1e-3  # layers darker than this move as if they were this bright
 
 

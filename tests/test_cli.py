@@ -738,7 +738,7 @@ OPTIONS = [
     case("iterations of words", [*SYNTH, "--iterations", "1e3"], "--iterations|integer"),
     case("negative iterations", [*SYNTH, "--iterations", "-1"], "iterations|0"),
     case("method", [*SYNTH, "--method", "fourier-adm"], "unknown method|did you mean 'fourier-a"),
-    case("method far off", [*SYNTH, "--method", "magic"], "known are fourier-admm"),
+    case("method far off", [*SYNTH, "--method", "magic"], "known are fast"),
     case("rounding", [*SYNTH, "--rounding", "jiont"], "unknown rounding|did you mean 'joint'"),
     case("rounding far off", [*SYNTH, "--rounding", "up"], "known are joint, nearest"),
     case("bits", [*SYNTH, "--bits", "7"], "7 bits|8 or 16"),

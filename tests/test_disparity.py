@@ -71,7 +71,7 @@ def flipped(field, order):
     """Return the field as it would be read if it were stored in another order."""
     views = field.views.unflatten(0, field.grid)
     dims = [dim for dim, flip in enumerate((order.bottom, order.right)) if flip]
-    return replace(field, views=views.flip(dims).flatten(0, 1))
+    return replace(field, stored=views.flip(dims).flatten(0, 1))
 
 
 def orders(*names):

@@ -17,6 +17,7 @@ from layerfield import DisparitySpec, Display, PhysicalSpec, preset_names
 from layerfield.display_spec import format_spec, parse_spec
 from layerfield.result import write_views
 from layerfield.training.recipe import read_recipe
+from layerfield.training.steps_recipe import read_steps_recipe
 
 ROOT = Path(__file__).parents[1]
 
@@ -61,13 +62,14 @@ def test_one_version_everywhere():
 def test_lower_rooms_do_not_import_higher_ones():
     """Data flows one way; a room is imported only by rooms listed after it."""
     order = [
-        "version", "nearest", "own_process", "toml_model", "geometry", "light_field", "projection",
-        "warped_projection", "panel_projection", "gram", "links", "composition", "transfer",
-        "panel_spec", "display_spec", "display", "panels", "solve", "between", "tone", "solvers",
-        "panel_images", "networks", "metrics", "provenance", "scenes", "io", "eyes", "animation",
-        "plane_sweep", "disparity", "weights", "methods", "synthesizer", "reference", "evaluate",
+        "version", "nearest", "own_process", "toml_model", "geometry", "kept_views", "light_field",
+        "projection", "back_projection", "warped_projection", "panel_projection", "frequencies",
+        "gram", "display_constants", "links", "composition", "transfer", "panel_spec",
+        "display_spec", "display", "panels", "solve", "between", "tone", "solvers", "panel_images",
+        "networks", "metrics", "provenance", "scenes", "io", "eyes", "animation", "plane_sweep",
+        "disparity", "weights", "methods", "fast", "synthesizer", "reference", "evaluate",
         "remarks", "observers", "stored_result", "result", "spectrum", "design", "training",
-        "report", "viewer", "demo", "reproduction", "cli", "__main__",
+        "report", "bench", "viewer", "demo", "reproduction", "cli", "__main__",
     ]  # fmt: skip
     source = ROOT / "src" / "layerfield"
     for file in source.rglob("*.py"):
@@ -187,6 +189,13 @@ def test_every_command_of_the_page_on_networks_runs(my_views):
     for row in re.findall(r"^\| (`.*?) \|", page.split("| recipe |")[1], flags=re.MULTILINE):
         for recipe in re.findall("`(.*?)`", row):
             read_recipe(recipe)
+
+
+def test_every_command_of_the_page_on_fast_runs(my_views, quick_references):
+    """But for the training, whose recipe is read only."""
+    commands = commands_in((ROOT / "docs" / "fast.md").read_text("utf-8"))
+    assert read_steps_recipe(commands[-1].split()[2]).link == "additive"
+    runs(commands[:-1])
 
 
 def test_every_command_of_the_page_on_eyes_runs(tmp_path, monkeypatch, quick_references):

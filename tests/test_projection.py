@@ -11,8 +11,9 @@ from naive import traced_view, view
 
 from layerfield import DisparitySpec, Display, Geometry, PhysicalSpec
 from layerfield.composition import compose_views
+from layerfield.frequencies import interleaved, inverse, multiply
 from layerfield.geometry import grid_points
-from layerfield.gram import Gram, fast_length, interleaved, inverse, multiply
+from layerfield.gram import Gram, fast_length
 from layerfield.links import LINKS
 from layerfield.projection import Projection
 

@@ -95,7 +95,7 @@ def inspect(page: str) -> _Seen:
 def field_for(display: Display, channels: int = 3) -> LightField:
     grid = display.geometry.grid or (1, display.view_count)
     made = procedural_light_field(grid=grid, size=SIZE, seed=2)
-    return replace(made, views=made.views[:, :channels], name="a<b>&'c\"", bits=8)
+    return replace(made, stored=made.views[:, :channels], name="a<b>&'c\"", bits=8)
 
 
 def make(folder: Path, toml: str, *, targets=True, history=False, channels=3) -> Path:

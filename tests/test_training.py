@@ -27,6 +27,7 @@ from layerfield.training.recipe import Loss, read_recipe, recipe_names
 from layerfield.training.records import CHECKPOINT, WEIGHTS, open_run, read_history
 from layerfield.training.sources import source_of, turned
 from layerfield.training.start import starting_network
+from layerfield.training.steps_recipe import is_of_steps, read_steps_recipe
 from layerfield.weights import read_weights
 
 TINY = """
@@ -383,13 +384,18 @@ def test_other_wrong_trainings_are_one_line(tmp_path, monkeypatch):
         assert len(done.err.strip().splitlines()) == 1
 
 
-@pytest.mark.parametrize("name", recipe_names())
+@pytest.mark.parametrize("name", [name for name in recipe_names() if not is_of_steps(name)])
 def test_recipes_that_ship_are_valid(name):
     found = read_recipe(f"recipes/{name}.toml")
     assert found.name == name
     assert Display.load(found.display).view_count == 25
     network = NETWORKS[found.network](25, 3, **found.options)
     assert sum(p.numel() for p in network.parameters()) < 10e6
+
+
+@pytest.mark.parametrize("name", [name for name in recipe_names() if is_of_steps(name)])
+def test_recipes_of_steps_that_ship_are_valid(name):
+    assert read_steps_recipe(f"recipes/{name}.toml").name == name
 
 
 def test_a_training_may_start_from_trained_weights(tmp_path, whole):

@@ -467,7 +467,7 @@ def test_weights_that_are_read_are_not_replaced(desk):
 @pytest.mark.parametrize("name", NETWORKS)
 @pytest.mark.parametrize("size", [(1, 1), (13, 17), (45, 61)])
 def test_layers_are_what_the_network_says_clamped(stocked, scene, name, size):
-    field = replace(scene, views=scene.views[..., : size[0], : size[1]])
+    field = replace(scene, stored=scene.views[..., : size[0], : size[1]])
     solution = synthesize(field, ADDITIVE, method=name)
     trained = load_shipped(find_shipped(name, ADDITIVE))
     assert solution.layers.shape == (1, 3, 3, size[0] + 4, size[1] + 4)
@@ -491,7 +491,7 @@ def test_layers_are_what_the_network_says_clamped(stocked, scene, name, size):
 @pytest.mark.parametrize("size", [(45, 61), (61, 37)])
 def test_tiles_make_the_same_as_the_whole(stocked, scene, monkeypatch, name, size):
     views = torch.nn.functional.interpolate(scene.views, size, mode="bilinear")
-    field = replace(scene, views=views)
+    field = replace(scene, stored=views)
     whole = synthesize(field, ADDITIVE, method=name).layers
     tiled = partial(methods.tiled_pixels, at_once=12 * 12)
     monkeypatch.setattr(methods, "tiled_pixels", tiled)
@@ -502,7 +502,7 @@ def test_tiles_make_the_same_as_the_whole(stocked, scene, monkeypatch, name, siz
 @pytest.mark.parametrize("name", NETWORKS)
 def test_bfloat16_is_close_and_comes_back_in_float32(stocked, scene, name):
     whole = synthesize(scene, ADDITIVE, method=name).layers
-    field = replace(scene, views=scene.views.bfloat16())
+    field = replace(scene, stored=scene.views.bfloat16())
     for method in (name, f"{name}+fourier-admm"):
         layers = synthesize(field, ADDITIVE, method=method).layers
         assert layers.dtype == torch.float32
@@ -616,7 +616,7 @@ def test_a_network_for_another_link_and_a_list_of_viewpoints(folder):
 
 def test_rows_say_network_and_chain(stocked, scene):
     chosen = parse_methods("unet,stacked-cnn+nmf:2,unet+sweeps:0,nmf:0")
-    small = replace(scene, views=scene.views[..., :24, :28])
+    small = replace(scene, stored=scene.views[..., :24, :28])
     rows = evaluate([small], [ADDITIVE], chosen)
     ((_, lines),) = tables(rows)
     assert [line[0] for line in lines[1:]] == [

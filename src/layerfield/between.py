@@ -17,6 +17,7 @@ from torch import Tensor
 
 from layerfield.display import Display
 from layerfield.geometry import Point
+from layerfield.kept_views import KeptViews
 from layerfield.light_field import EyeViews, LightField
 from layerfield.solve import Problem
 from layerfield.warped_projection import project
@@ -140,6 +141,6 @@ def with_eyes(problem: Problem, display: Display, eyes: EyeViews) -> Problem:
         projection=project(
             geometry.shifts + shifts, geometry.magnifications + magnifications, display.margin
         ),
-        target=torch.cat([problem.target, light.to(problem.target)], dim=-4),
+        views=KeptViews(torch.cat([problem.target, light.to(problem.target)], dim=-4)),
         weights=problem.weights + (eyes.weight,) * len(shifts),
     )

@@ -76,7 +76,7 @@ def _solve(field: LightField, display: Display) -> Result:
 
 def _strips(field: LightField, display: Display, result: Result) -> list[Strip]:
     corner = 0
-    target = field.views[corner]
+    target = field.view(corner)
     shown = display(dequantise(result.codes))[corner]
     others = []
     for method, iterations in _methods(display):

@@ -167,10 +167,10 @@ def design(
 
 def middle(field: LightField, largest: int = LARGEST) -> LightField:
     """Return the middle of large views: what it asks for takes less time and says enough."""
-    (height, width), views = field.size, field.views
+    (height, width), stored = field.size, field.stored
     y, x = (max(0, (size - largest) // 2) for size in (height, width))
     return LightField(
-        views[..., y : height - y, x : width - x][..., :largest, :largest], field.grid, field.name
+        stored[..., y : height - y, x : width - x][..., :largest, :largest], field.grid, field.name
     )
 
 

@@ -86,6 +86,12 @@ class Display(nn.Module):
         """Return the views that layers show, unclipped."""
         return compose_views(layers, self.projection, self.link)
 
+    def view(
+        self, layers: Float[Tensor, "*batch subframe layer c ly lx"], index: int
+    ) -> Float[Tensor, "*batch c y x"]:
+        """Return one view that layers show, unclipped: `forward` takes the memory of all."""
+        return compose_view(layers, self.projection, self.link, index)
+
     def adjoint(
         self, views: Float[Tensor, "*batch view c y x"]
     ) -> Float[Tensor, "*batch layer c ly lx"]:

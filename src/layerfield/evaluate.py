@@ -7,7 +7,7 @@ import statistics
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -20,19 +20,19 @@ from layerfield.light_field import EyeViews, LightField
 from layerfield.methods import NetworkMethod
 from layerfield.metrics import (
     LayerFigures,
+    decibels,
     excess,
     finite,
     interior,
     layer_figures,
     mean_square_error,
-    psnr,
-    psnr_by_view,
     ssim,
 )
 from layerfield.own_process import in_own_process, peak_megabytes
 from layerfield.panels import dequantise
 from layerfield.provenance import provenance
 from layerfield.reference import Reference, reference, store_reference
+from layerfield.solve import Problem
 from layerfield.solvers.rounding import panel_codes
 from layerfield.synthesizer import find_method, pose, spelled, synthesize
 from layerfield.weights import WEIGHT_SUFFIX
@@ -67,19 +67,46 @@ class Figures:
 
 def figures(layers: Tensor, field: LightField, display: Display) -> Figures:
     """Return the figures of quality of layers, light from 0 to 1."""
-    light = display(layers)
-    views = display.transfer.encode(light)
-    by_view = psnr_by_view(views, field.views)
+    errors = [_view_errors(layers, field, display, i) for i in range(len(field))]
+    by_view = [decibels(error.values) for error in errors]
+    values, light, inside, similarity = (
+        statistics.fmean(each) for each in zip(*errors, strict=True)
+    )
     return Figures(
-        psnr=psnr(views, field.views),
-        psnr_linear=psnr(light, display.transfer.decode(field.views)),
-        psnr_interior=psnr(interior(views, display.margin), interior(field.views, display.margin)),
-        ssim=ssim(views, field.views),
+        psnr=decibels(values),
+        psnr_linear=decibels(light),
+        psnr_interior=decibels(inside),
+        ssim=similarity,
         psnr_view_min=min(by_view),
         psnr_view_max=max(by_view),
         psnr_view_std=_spread(by_view),
         psnr_by_view=by_view,
         layers=layer_figures(layers),
+    )
+
+
+def light_error(layers: Tensor, field: LightField, display: Display) -> float:
+    """Return the mean square error of the light that layers show, all views alike."""
+    return Problem.of(display, field.kept).mean_square_error(layers)
+
+
+class _ViewErrors(NamedTuple):
+    """Mean square errors of one view: of values, of light, and of values without a border."""
+
+    values: float
+    light: float
+    interior: float
+    ssim: float
+
+
+def _view_errors(layers: Tensor, field: LightField, display: Display, index: int) -> _ViewErrors:
+    light, wanted = display.view(layers, index), field.view(index)
+    shown = display.transfer.encode(light)
+    return _ViewErrors(
+        mean_square_error(shown, wanted),
+        mean_square_error(light, display.transfer.decode(wanted)),
+        mean_square_error(*(interior(view, display.margin) for view in (shown, wanted))),
+        ssim(shown[None], wanted[None]),
     )
 
 
@@ -261,9 +288,9 @@ def _measure(job: _Job) -> tuple[Row, np.ndarray]:
         seconds=solution.seconds,
         peak_mb=peak,
         bits=job.bits,
-        mean_square_error=mean_square_error(display(layers), transfer.decode(field.views)),
+        mean_square_error=light_error(layers, field, display),
         figures=figures(layers, field, display),
-        made_with=provenance(field.views.device),
+        made_with=provenance(field.stored.device),
         details=dict(solution.details) | _targets(field),
         grid=display.geometry.grid,
     )
@@ -276,7 +303,7 @@ def _targets(field: LightField) -> dict[str, float | str]:
 
 def _warm_up(field: LightField, display: Display, job: _Job) -> None:
     """Start threads and libraries on a corner of the field, so that the clock does not see it."""
-    corner = replace(field, views=field.views[..., :32, :32].contiguous(), between=None)
+    corner = replace(field, stored=field.stored[..., :32, :32].contiguous(), between=None)
     synthesize(corner, display, method=job.method, iterations=min(job.iterations, 1))
 
 

@@ -9,11 +9,13 @@ and only the band has to be recomputed when layers change.
 """
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import torch
-from jaxtyping import Complex, Float, Inexact
+from jaxtyping import Float, Inexact
 from torch import Tensor
 
+from layerfield.frequencies import Spectral, interleaved, multiply
 from layerfield.projection import Projection
 
 
@@ -61,9 +63,7 @@ class Gram:
         (height, width), (my, mx) = view_size, projection.margin
         self.layer_size = (height + 2 * my, width + 2 * mx)
         self.torus = (fast_length(self.layer_size[0]), fast_length(self.layer_size[1]))
-        symbol = projection.symbol(self.torus, weights)
-        self.symbol = symbol.to(like.device, _matching(symbol, like))
-        self.matrix = interleaved(self.symbol)
+        self._like = like
         # Two strips of the torus make up the band: all columns below and above the views, then
         # what is left and right of them. Each holds the layer pixels its view pixels look at.
         (ty, tx), across = self.torus, (0, self.torus[1] + 2 * mx)
@@ -73,6 +73,18 @@ class Gram:
             for rows, columns in strips
             if rows[1] - rows[0] > 2 * my and columns[1] - columns[0] > 2 * mx
         ]
+
+    @cached_property
+    def symbol(self) -> Inexact[Tensor, "layer layer fy fx"]:
+        """G(f), in the precision of the views."""
+        symbol, like = self.projection.symbol(self.torus, self.weights), self._like
+        dtype = like.dtype.to_complex() if symbol.is_complex() else like.dtype
+        return symbol.to(like.device, dtype)
+
+    @cached_property
+    def spectral(self) -> Spectral:
+        """The same with its resolvents."""
+        return Spectral(self.symbol, self.torus, sum(self.weights))
 
     def to_torus(self, layers: Float[Tensor, "*batch ly lx"]) -> Float[Tensor, "*batch ty tx"]:
         """Pad layers with zeros to the torus."""
@@ -106,64 +118,8 @@ class Gram:
         self, layers: Float[Tensor, "*batch layer c ty tx"]
     ) -> Float[Tensor, "*batch layer c ty tx"]:
         """Return A^T M W A layers."""
-        spectrum = multiply(self.matrix, torch.fft.rfft2(layers))
+        spectrum = multiply(interleaved(self.symbol), torch.fft.rfft2(layers))
         return torch.fft.irfft2(spectrum, s=self.torus) - self.band(layers)
-
-
-def interleaved(
-    matrix: Inexact[Tensor, "layer layer fy fx"],
-) -> Tensor:
-    """Prepare a matrix for `multiply`.
-
-    A real matrix acts on real and imaginary parts alike; with every entry twice, it fits a
-    spectrum whose real and imaginary parts lie side by side in one long real row.
-    """
-    return matrix if matrix.is_complex() else matrix.repeat_interleave(2, dim=-1)
-
-
-def multiply(
-    matrix: Tensor, spectrum: Complex[Tensor, "*batch layer c fy fx"]
-) -> Complex[Tensor, "*batch layer c fy fx"]:
-    """Multiply every frequency of a spectrum by its layer x layer matrix, once `interleaved`."""
-    if matrix.is_complex():
-        return _multiply(matrix, spectrum)
-    product = _multiply(matrix, torch.view_as_real(spectrum).flatten(-2))
-    return torch.view_as_complex(product.unflatten(-1, (-1, 2)))
-
-
-def _multiply(matrix: Tensor, spectrum: Tensor) -> Tensor:
-    product = torch.empty_like(spectrum)
-    planes = spectrum.unbind(dim=-4)
-    for row, total in zip(matrix, product.unbind(dim=-4), strict=True):
-        torch.mul(row[0], planes[0], out=total)
-        for entry, plane in zip(row[1:], planes[1:], strict=True):
-            total.addcmul_(entry, plane)
-    return product
-
-
-def inverse(matrix: Inexact[Tensor, "layer layer fy fx"]) -> Inexact[Tensor, "layer layer fy fx"]:
-    """Invert the positive definite matrix of every frequency, by Gauss-Jordan elimination.
-
-    All frequencies go together; the few steps over layers cost less than a batched library call.
-    """
-    left = matrix.clone()
-    right = torch.zeros_like(matrix)
-    for k in range(len(matrix)):
-        right[k, k] = 1
-    for k in range(len(matrix)):
-        pivot = left[k, k].clone()
-        left[k] /= pivot
-        right[k] /= pivot
-        for row in range(len(matrix)):
-            if row != k:
-                factor = left[row, k].clone()
-                left[row] -= factor * left[k]
-                right[row] -= factor * right[k]
-    return right
-
-
-def _matching(symbol: Tensor, like: Tensor) -> torch.dtype:
-    return like.dtype.to_complex() if symbol.is_complex() else like.dtype
 
 
 def _cut(values: Tensor, span: tuple[int, int], dim: int) -> Tensor:

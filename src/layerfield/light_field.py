@@ -4,10 +4,11 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from jaxtyping import Float
+from jaxtyping import Float, Num
 from torch import Tensor
 
 from layerfield.geometry import Point
+from layerfield.kept_views import KeptViews
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,18 +49,19 @@ class LightField:
     """Views of one scene, row by row from the top left.
 
     Args:
-        views: values, 0 to 1.
+        stored: the views as whole numbers, uint8 or uint16, or as floats 0 to 1; `views` and `view`
+            return values 0 to 1 of either.
         grid: (rows, columns) of the viewpoints.
         name: what tables and reports call it.
         notes: what a reader had to do that its user may want to know, one sentence each.
         between: what eyes between the viewpoints see, if layers are made for them, too.
-        bits: of the whole numbers that the views were stored as; None if those were floats.
+        bits: of the whole numbers in the files; None if those held floats.
 
     Raises:
         ValueError: the number of views is not rows times columns.
     """
 
-    views: Float[Tensor, "*batch view c y x"]
+    stored: Num[Tensor, "*batch view c y x"]
     grid: tuple[int, int]
     name: str = "light field"
     notes: tuple[str, ...] = ()
@@ -68,12 +70,30 @@ class LightField:
 
     def __post_init__(self) -> None:
         rows, columns = self.grid
-        if self.views.shape[-4] != rows * columns:
+        if len(self) != rows * columns:
             raise ValueError(
-                f"found {self.views.shape[-4]} views, expected {rows}x{columns} = {rows * columns}"
+                f"found {len(self)} views, expected {rows}x{columns} = {rows * columns}"
             )
+
+    def __len__(self) -> int:
+        """Number of views."""
+        return self.stored.shape[-4]
+
+    @property
+    def kept(self) -> KeptViews:
+        """The views, to be turned into values one at a time."""
+        return KeptViews(self.stored)
+
+    @property
+    def views(self) -> Float[Tensor, "*batch view c y x"]:
+        """Values of all views, 0 to 1; of whole numbers made anew at every call."""
+        return self.kept.all()
+
+    def view(self, index: int) -> Float[Tensor, "*batch c y x"]:
+        """Return the values of one view, 0 to 1."""
+        return self.kept.view(index)
 
     @property
     def size(self) -> tuple[int, int]:
         """Height and width of a view in pixels."""
-        return self.views.shape[-2], self.views.shape[-1]
+        return self.stored.shape[-2], self.stored.shape[-1]

@@ -326,7 +326,7 @@ class ChainMethod(Method):
                 f"out init, or take {self.solver.name} alone"
             )
         start = self.network.run(problem, display, RunOptions(0))
-        exact = replace(problem, target=problem.target.to(start.layers.dtype))
+        exact = replace(problem, views=problem.views.then(lambda v: v.to(start.layers.dtype)))
         rest = replace(options, init=start, time_limit=options.time_limit - start.seconds)
         return _behind(start, self.solver.run(exact, display, rest))
 

@@ -22,6 +22,7 @@ from torch.nn.functional import pad
 
 from layerfield.composition import compose_views
 from layerfield.display import Display
+from layerfield.kept_views import KeptViews
 from layerfield.links import Additive
 from layerfield.panel_projection import (
     Matrix,
@@ -211,7 +212,7 @@ def _fitted(layer: Tensor, projection: PanelProjection, index: int) -> Tensor:
     mapping, size = projection.mappings[index], projection.sizes[index]
     layer_size = (layer.shape[-2], layer.shape[-1])
     alone = PanelProjection((((0.0, 0.0),),), (0, 0), (mapping,), (size,), layer_size)
-    problem = Problem(alone, Additive(), layer, (1.0,))
+    problem = Problem(alone, Additive(), KeptViews(layer), (1.0,))
     start = _area_mean(layer, mapping, size).unsqueeze(-5)
     run = solve(problem, Sweeps(), iterations=_FITTING_SWEEPS, init=start)
     return run.layers.squeeze(-5).squeeze(-4)

@@ -37,6 +37,10 @@ class PanelProjection(Projection):
     sizes: tuple[tuple[int, int], ...]
     views: tuple[int, int]
 
+    @property
+    def is_whole(self) -> bool:
+        return False
+
     def view_size(self, layers: Tensor) -> tuple[int, int]:
         return self.views
 

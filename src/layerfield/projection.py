@@ -56,6 +56,11 @@ class Projection:
             for layers in self.shifts
         )
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether all shifts are whole pixels: `taps` is then all there is to say, one a window."""
+        return all(len(taps) == 1 for layers in self.taps for taps in layers)
+
     def view_size(self, layers: Tensor) -> tuple[int, int]:
         """Height and width of the views that layers of this size show."""
         return layers.shape[-2] - 2 * self.margin[0], layers.shape[-1] - 2 * self.margin[1]

@@ -138,7 +138,7 @@ def _optimum(problem: Problem, tick: Callable[[str], None] | None) -> Reference:
     """Run the direct solver, then the same in double precision, until the gap is certified."""
     solver = FourierAdmm(penalty=0.003, warm_penalty=0.003, balance=0)
     run = solve(problem, solver, iterations=4 * _ROUND)
-    exact = replace(problem, target=problem.target.double())
+    exact = replace(problem, views=problem.views.then(Tensor.double))
     iterations, gap, init = run.iterations, math.inf, run.layers.double()
     error = math.inf
     for _ in range(_MOST_ROUNDS):
@@ -218,10 +218,11 @@ def _fingerprint(problem: Problem) -> str:
         problem.weights,
         problem.bounds,
         problem.subframes,
-        tuple(problem.target.shape),
+        tuple(problem.views.stored.shape),
     )
     if isinstance(problem.projection, WarpedProjection):
         facts = (*facts, problem.projection.magnifications)
     digest = hashlib.sha256(repr(facts).encode())
-    digest.update(problem.target.float().cpu().contiguous().numpy().tobytes())
+    for view in problem.views:
+        digest.update(view.float().cpu().contiguous().numpy().tobytes())
     return digest.hexdigest()[:32]

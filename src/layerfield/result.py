@@ -12,7 +12,7 @@ OUT/targets/view_RR_CC.png   what they should see, if asked for
 
 import dataclasses
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -23,17 +23,17 @@ from torch import Tensor
 
 from layerfield.display import Display
 from layerfield.display_spec import format_spec
-from layerfield.evaluate import Figures, figures
+from layerfield.evaluate import Figures, figures, light_error
 from layerfield.io import whole_directory, write_png
 from layerfield.light_field import LightField
-from layerfield.metrics import decibels, excess, finite, mean_square_error, psnr
+from layerfield.metrics import decibels, excess, finite, psnr
 from layerfield.panel_images import PanelImages, panel_images, views_through_panels
 from layerfield.panels import dequantise, quantise
 from layerfield.provenance import provenance
 from layerfield.reference import Reference
 from layerfield.solve import Solution
 from layerfield.solvers.rounding import panel_codes
-from layerfield.stored_result import simulate, simulate_panels
+from layerfield.stored_result import simulate_panels
 from layerfield.synthesizer import pose
 
 
@@ -82,8 +82,9 @@ def make_result(
         solved, solution.layers, bits=bits, rounding=rounding, transfer=display.transfer
     )
     layers = dequantise(codes, display.transfer)
-    error = mean_square_error(display(layers), display.transfer.decode(field.views))
+    error = light_error(layers, field, display)
     panels = panel_images(solved, solution.layers, display) if display.panels else None
+    judged = figures(layers, field, display)
     facts = {
         "method": method,
         "solver": _hyper_parameters(solution),
@@ -99,9 +100,9 @@ def make_result(
         "rounding": rounding if bits == 8 else "nearest",
         "subframes": display.subframes,
         "margin": display.margin,
-        "made_with": provenance(field.views.device),
-        **_quality(figures(layers, field, display)),
-        **_observed(layers, field, display, solved.weights[: display.view_count]),
+        "made_with": provenance(field.stored.device),
+        **_quality(judged),
+        **_observed(judged, solved.weights[: display.view_count]),
         "reference": reference and asdict(reference) | {"psnr": finite(reference.psnr)},
         "excess": reference and finite(excess(error, reference.mean_square_error)),
     }
@@ -111,14 +112,11 @@ def make_result(
     return Result(codes, display, facts, panels.codes)
 
 
-def _observed(
-    layers: Tensor, field: LightField, display: Display, weights: Sequence[float]
-) -> dict[str, Any]:
+def _observed(judged: Figures, weights: Sequence[float]) -> dict[str, Any]:
     """The figure that counts views as the observers do, where they count differently."""
     if len(set(weights)) == 1:
         return {}
-    seen = display.transfer.encode(display(layers))
-    errors = [mean_square_error(s, v) for s, v in zip(seen, field.views, strict=True)]
+    errors = [10 ** (-psnr / 10) for psnr in judged.psnr_by_view]
     pooled = sum(w * e for w, e in zip(weights, errors, strict=True)) / sum(weights)
     return {"psnr_observers": finite(decibels(pooled))}
 
@@ -164,7 +162,7 @@ def write_result(
             write_views(temporary / "views", views, result.display, result.facts["bits"])
         if targets is not None:
             bits = 8 if targets.bits is not None and targets.bits <= 8 else 16
-            write_views(temporary / "targets", targets.views, result.display, bits)
+            write_views(temporary / "targets", targets.kept, result.display, bits)
 
 
 def _write_pictures(
@@ -178,22 +176,26 @@ def _write_pictures(
             write_png(place / f"{name}_{k}.png", codes.cpu())
 
 
-def _views_of(result: Result) -> Float[Tensor, "view c y x"]:
+def _views_of(result: Result) -> Iterable[Float[Tensor, "c y x"]]:
     """Return what viewers see: of the panels, or of the layers where there are none."""
-    if not result.panels:
-        return simulate(dequantise(result.codes), result.display, result.display.margin)
-    pictures = [dequantise(codes) for codes in result.panels]
-    return simulate_panels(pictures, result.display, result.facts["field"]["size"])
+    display = result.display
+    if result.panels:
+        pictures = [dequantise(codes) for codes in result.panels]
+        return simulate_panels(pictures, display, result.facts["field"]["size"])
+    layers = dequantise(result.codes, display.transfer)
+    each = range(display.view_count)
+    return (display.transfer.encode(display.view(layers, i)) for i in each)
 
 
 def write_views(
-    folder: Path, views: Float[Tensor, "view c y x"], display: Display, bits: int
+    folder: Path, views: Iterable[Float[Tensor, "c y x"]], display: Display, bits: int
 ) -> None:
     """Write views as `view_RR_CC.png`, clipped to 0..1; a list of viewpoints is one row."""
     folder.mkdir()
     _, columns = display.geometry.grid or (1, display.view_count)
-    for i, view in enumerate(quantise(views.clamp(0, 1), bits)):
-        write_png(folder / f"view_{i // columns:02d}_{i % columns:02d}.png", view.cpu())
+    for i, view in enumerate(views):
+        codes = quantise(view.clamp(0, 1), bits)
+        write_png(folder / f"view_{i // columns:02d}_{i % columns:02d}.png", codes.cpu())
 
 
 def write_views_array(

@@ -15,9 +15,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from layerfield.back_projection import back_projected
 from layerfield.composition import compose_view
 from layerfield.display import Display
+from layerfield.display_constants import coverage_of, gram_of
 from layerfield.gram import Gram
+from layerfield.kept_views import KeptViews
 from layerfield.links import Additive, Link
 from layerfield.projection import Projection
 
@@ -32,7 +35,7 @@ class Problem:
     Args:
         projection: A, from layers to views.
         link: what combines the layers.
-        target: L, the views to be shown, as light.
+        views: L, the views to be shown, as light; see `light`.
         weights: w, one for every view.
         bounds: the range of layer pixels.
         subframes: whose mean is seen.
@@ -40,14 +43,14 @@ class Problem:
 
     projection: Projection
     link: Link
-    target: Float[Tensor, "*batch view c y x"]
+    views: KeptViews
     weights: tuple[float, ...]
     bounds: tuple[float, float] = (0.0, 1.0)
     subframes: int = 1
 
     @classmethod
     def of(
-        cls, display: Display, target: Tensor, weights: Sequence[float] | None = None
+        cls, display: Display, target: Tensor | KeptViews, weights: Sequence[float] | None = None
     ) -> "Problem":
         """Pose the problem of showing views, as encoded in their files, on a display: in light.
 
@@ -55,28 +58,41 @@ class Problem:
             ValueError: not as many views or weights as viewpoints, or a negative weight.
         """
         count = display.view_count
-        if target.shape[-4] != count:
-            raise ValueError(
-                f"found {target.shape[-4]} views, display '{display.name}' expects {count}"
-            )
+        views = target if isinstance(target, KeptViews) else KeptViews(target)
+        if len(views) != count:
+            raise ValueError(f"found {len(views)} views, display '{display.name}' expects {count}")
         chosen = tuple(float(w) for w in weights) if weights is not None else (1.0,) * count
         if len(chosen) != count or min(chosen) < 0 or not 0 < sum(chosen) < math.inf:
             raise ValueError(f"expected {count} view weights, at least 0 and not all 0")
-        light = display.transfer.decode(target)
+        light = views.then(display.transfer.decode)
         return cls(display.projection, display.link, light, chosen, subframes=display.subframes)
 
     def in_sum_domain(self) -> "Problem":
         """Return the problem in the domain where the link is a sum (logarithms for a product)."""
-        target = self.link.to_sum(self.target)
+        views = self.views.then(self.link.to_sum)
         return Problem(
-            self.projection, Additive(), target, self.weights, bounds=self.link.sum_bounds
+            self.projection, Additive(), views, self.weights, bounds=self.link.sum_bounds
         )
+
+    def light(self, index: int) -> Float[Tensor, "*batch c y x"]:
+        """Return what one view is to show."""
+        return self.views.view(index)
+
+    @cached_property
+    def target(self) -> Float[Tensor, "*batch view c y x"]:
+        """What all views are to show: floats, where `light` is sparing of memory."""
+        return self.views.all()
+
+    @property
+    def device(self) -> torch.device:
+        """Where the views are."""
+        return self.views.stored.device
 
     @property
     def layer_shape(self) -> tuple[int, ...]:
         """Shape of the layers: *batch, subframe, layer, channel, y, x."""
-        *batch, _, channels, _, _ = self.target.shape
-        size = self.projection.layer_size(self.target)
+        *batch, _, channels, _, _ = self.views.stored.shape
+        size = self.projection.layer_size(self.views.stored)
         return (*batch, self.subframes, self.layer_count, channels, *size)
 
     @property
@@ -87,23 +103,22 @@ class Problem:
     @property
     def view_size(self) -> tuple[int, int]:
         """Height and width of the views."""
-        return self.target.shape[-2], self.target.shape[-1]
+        return self.views.stored.shape[-2], self.views.stored.shape[-1]
 
     @cached_property
     def gram(self) -> Gram:
-        """A^T M W A, what a sum link makes of layers."""
-        return Gram(self.projection, self.weights, self.view_size, self.target)
+        """A^T M W A, what a sum link makes of layers; shared by problems alike."""
+        return gram_of(self.projection, self.weights, self.view_size, self.views.like)
 
     @cached_property
     def back_projected(self) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         """A^T W L: all that a sum link needs to know of the views."""
-        return self.projection.adjoint(self.target, self.weights).unsqueeze(-5)
+        return back_projected(self.projection, self.views, self.weights).unsqueeze(-5)
 
     @cached_property
     def coverage(self) -> Float[Tensor, "layer 1 ly lx"]:
         """A^T W 1: the weight of the views that see a layer pixel; 0 where nobody looks."""
-        ones = self.target.new_ones(len(self.weights), 1, *self.view_size)
-        return self.projection.adjoint(ones, self.weights)
+        return coverage_of(self.projection, self.weights, self.view_size, self.views.like)
 
     def view(
         self, layers: Float[Tensor, "*batch subframe layer c ly lx"], index: int
@@ -115,16 +130,18 @@ class Problem:
         """Return the weighted mean square error of unclipped views, pooled over all pixels."""
         total = 0.0
         for i, weight in enumerate(self.weights):
-            residual = self.view(layers, i) - self.target[..., i, :, :, :]
+            residual = self.view(layers, i) - self.light(i)
             total += weight * residual.double().square().mean().item()
         return total / sum(self.weights)
 
     def even_start(self) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         """Return the balanced start: every layer shows what its viewers see on average, shared.
 
-        z_k = A_k^T W L / (A_k^T W 1) / K. Pixels that nobody sees take the mean of the views.
+        z_k = A_k^T W L / (A_k^T W 1) / K. Pixels that nobody sees take the mean of the views, which
+        is that of the first layer's light over its coverage.
         """
-        mean = self.target.mean(dim=(-4, -2, -1), keepdim=True).unsqueeze(-5)
+        seen = self.coverage[0].sum(dim=(-2, -1), keepdim=True)
+        mean = self.back_projected[..., :1, :, :, :].sum(dim=(-2, -1), keepdim=True) / seen
         average = self.back_projected / self.coverage.clamp(min=1e-6)
         return torch.where(self.coverage > 0, average, mean) / self.layer_count
 
@@ -133,7 +150,7 @@ class Problem:
 
         Subframes differ by random factors, 1 - apart to 1 + apart.
         """
-        mean = self.link.to_sum(self.target).mean(dim=(-4, -3, -2, -1)) / self.layer_count
+        mean = self.views.then(self.link.to_sum).mean() / self.layer_count
         shape = self.back_projected.shape
         start = self.link.from_sum(mean)[(..., *[None] * 5)].expand(shape)
         return self.in_subframes(start.clamp(*self.bounds).clone(), apart)
@@ -239,7 +256,7 @@ def solve(
     """
     if iterations < 0:
         raise ValueError(f"found {iterations} iterations, expected 0 or more")
-    clock = Clock(problem.target.device)
+    clock = Clock(problem.device)
     records: list[Progress] = []
     with torch.no_grad(), clock:
         state = solver.init(problem, _start(problem, solver, init))

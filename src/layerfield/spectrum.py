@@ -18,8 +18,8 @@ import torch
 from jaxtyping import Complex, Float, Int
 from torch import Tensor
 
+from layerfield.frequencies import inverse
 from layerfield.geometry import grid_points
-from layerfield.gram import inverse
 from layerfield.light_field import LightField
 from layerfield.links import Link
 from layerfield.projection import response

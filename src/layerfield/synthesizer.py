@@ -15,8 +15,9 @@ from torch import Tensor
 
 from layerfield.between import with_eyes
 from layerfield.display import Display
+from layerfield.fast import FastMethod
 from layerfield.light_field import LightField
-from layerfield.links import LINKS
+from layerfield.links import LINKS, Link
 from layerfield.methods import (
     ChainMethod,
     Method,
@@ -35,6 +36,7 @@ from layerfield.solvers.nmf import Nmf
 from layerfield.solvers.ntf import Ntf
 from layerfield.solvers.sart import Sart
 from layerfield.solvers.sweeps import Sweeps
+from layerfield.solvers.tiled_admm import TiledAdmm
 from layerfield.weights import PICKLE_SUFFIXES, WEIGHT_SUFFIX, shipped
 
 
@@ -57,6 +59,14 @@ def _any_distance(
     return SolverMethod(name, summary, iterations, links, lambda _: solver, lambda _: solver)
 
 
+def _in_tiles(link: Link) -> Solver:
+    if link.is_sum:
+        return TiledAdmm()
+    start = FourierStart.suited(link)
+    assert isinstance(start.direct, FourierAdmm)
+    return replace(start, direct=TiledAdmm(penalty=start.direct.penalty))
+
+
 _SOLVERS = (
     SolverMethod(
         "fourier-admm",
@@ -65,6 +75,15 @@ _SOLVERS = (
         _ANY,
         lambda link: FourierAdmm() if link.is_sum else FourierStart.suited(link),
         lambda _: NearestShifts(),
+    ),
+    FastMethod.shipped(),
+    SolverMethod(
+        "fourier-tiles",
+        "fourier-admm in tiles: the same layers in less memory, for large pictures",
+        10,
+        _ANY,
+        _in_tiles,
+        lambda _: NearestShifts(FourierStart(TiledAdmm(), direct_iterations=4)),
     ),
     _any_distance("gradient", "accelerated projected gradients", 100, _ANY, Gradient()),
     SolverMethod(
@@ -164,7 +183,7 @@ def pose(field: LightField, display: Display, weights: Sequence[float] | None = 
             f"'{field.name}' has {found} views, display '{display.name}' expects {wanted}; "
             f"choose with --views {wanted} or --step, or change the views of the display"
         )
-    problem = Problem.of(display, field.views, weights)
+    problem = Problem.of(display, field.kept, weights)
     return problem if field.between is None else with_eyes(problem, display, field.between)
 
 

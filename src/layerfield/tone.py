@@ -73,5 +73,5 @@ class EncodedLink:
 
 def on_values(problem: Problem, transfer: Transfer) -> Problem:
     """Return a problem, posed in light, with its errors measured on encoded values."""
-    target = transfer.encode(problem.target)
-    return replace(problem, link=EncodedLink(problem.link, transfer), target=target)
+    views = problem.views.then(transfer.encode)
+    return replace(problem, link=EncodedLink(problem.link, transfer), views=views)

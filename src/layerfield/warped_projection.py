@@ -40,6 +40,10 @@ class WarpedProjection(Projection):
     magnifications: tuple[tuple[float, ...], ...]
 
     @property
+    def is_whole(self) -> bool:
+        return False
+
+    @property
     def shifts_only(self) -> Projection:
         return Projection(self.shifts, self.margin)
 

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from layerfield.cli.bench import bench_command
 from layerfield.cli.design import design_command
 from layerfield.cli.evaluate import evaluate_command
 from layerfield.cli.info import info_command
@@ -52,6 +53,7 @@ app.command(name="info")(info_command)
 app.command(name="synth")(synth_command)
 app.command(name="simulate")(simulate_command)
 app.command(name="evaluate")(evaluate_command)
+app.command(name="bench")(bench_command)
 app.command(name="view")(view_command)
 app.command(name="report")(report_command)
 app.command(name="displays")(displays)

@@ -39,7 +39,7 @@ def design_command(
         fields = told_apart([_load(path, options) for path in paths], paths)
         found = design(fields, link, counts, tick=tick)
         alone = [design([f], link, counts, tick=tick) for f in fields] if len(fields) > 1 else []
-        facts = recorded(options) | {"made_with": provenance(fields[0].views.device)}
+        facts = recorded(options) | {"made_with": provenance(fields[0].stored.device)}
         seconds = perf_counter() - started
         write_designs(temporary, found, alone, facts | {"seconds": seconds})
     for each in (found, *alone):

@@ -62,7 +62,7 @@ def read_around(path: str, options: FieldOptions, field: LightField, *, between:
     around = load_eye_views(path, options)
     if between:
         given_between(around, field)
-    if len(around.positions) <= len(field.views):
+    if len(around.positions) <= len(field):
         raise ValueError(
             f"'{field.name}' has no views in or around those that are taken; take fewer, with "
             "--views or --step"

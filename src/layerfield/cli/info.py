@@ -38,10 +38,11 @@ def info_command(
         report = estimate_disparity(loaded, order=options.order)
         write_contact_sheet(temporary, loaded)
     height, width = loaded.size
-    low, high = loaded.views.min().item(), loaded.views.max().item()
-    kind = "grey" if loaded.views.shape[-3] == 1 else "colour"
+    views = loaded.views
+    low, high = views.min().item(), views.max().item()
+    kind = "grey" if views.shape[-3] == 1 else "colour"
     say(f"views      {loaded.grid[0]}x{loaded.grid[1]}, {width}x{height} px, {kind}")
-    say(f"values     {low:.3f} to {high:.3f}, mean {loaded.views.mean().item():.3f}")
+    say(f"values     {low:.3f} to {high:.3f}, mean {views.mean().item():.3f}")
     for line in [*report.lines(), *loaded.notes]:
         say(line)
     say(f"contact sheet: {path}")

@@ -88,7 +88,7 @@ def synth_command(
         loaded = read_field(field, options, targets_between)
         if target.panels:
             panel_projection(target, loaded.size)
-        loaded = replace(loaded, views=loaded.views.to(device))
+        loaded = replace(loaded, stored=loaded.stored.to(device))
         solution = synthesize(
             loaded,
             target,

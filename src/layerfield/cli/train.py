@@ -18,6 +18,8 @@ from layerfield.training.loop import Run, train
 from layerfield.training.recipe import read_recipe
 from layerfield.training.records import WEIGHTS, refuse_run
 from layerfield.training.start import network_for, refuse_other_network
+from layerfield.training.steps import StepsRun, train_steps
+from layerfield.training.steps_recipe import StepsRecipe, is_of_steps, read_steps_recipe
 from layerfield.weights import find_shipped, load_shipped, read_weights
 
 
@@ -38,7 +40,11 @@ def train_command(
     ] = None,
     force: Force = False,
 ) -> None:
-    """Train a network, or adapt a trained one to a light field."""
+    """Train a network or learned steps, or adapt a trained network to a light field."""
+    if is_of_steps(recipe):
+        _refuse_for_steps(adapt=adapt, weights=weights, epochs=epochs, device=device)
+        _train_steps(read_steps_recipe(recipe), out, resume, force, _command(recipe, None, None))
+        return
     if find_spec("lightning") is None:
         raise ValueError(
             "training needs lightning; install it with pip install 'layerfield[train]'"
@@ -71,6 +77,34 @@ def train_command(
     for note in facts["notes"]:
         say(f"note: {note}")
     say(f"the best network is {run.out / WEIGHTS}; use it with --method {run.out / WEIGHTS}")
+
+
+def _refuse_for_steps(**given: object) -> None:
+    """Refuse what only networks know."""
+    for name, value in given.items():
+        if value not in (None, "cpu"):
+            raise ValueError(
+                f"found --{name} {value}, but the recipe is of learned steps, which are trained "
+                "whole and on the processor; leave it out"
+            )
+
+
+def _train_steps(
+    recipe: StepsRecipe, out: Path | None, resume: bool, force: bool, command: str
+) -> None:
+    run = StepsRun(
+        recipe=recipe,
+        out=Path("runs", recipe.name) if out is None else out,
+        resume=resume,
+        force=force,
+        command=command,
+    )
+    with status(total=100) as tick:
+        facts = train_steps(replace(run, tick=tick))
+    for method, figures in facts["figures"]["test"].items():
+        listed = ", ".join(f"{value:.2f} ({steps})" for steps, value in figures.items())
+        say(f"{method}, dB on test scenes (steps): {listed}")
+    say(f"the learned steps are {run.out / WEIGHTS}")
 
 
 def _trained(run: Run, weights: Path | None) -> Network:

@@ -73,7 +73,7 @@ def contact_sheet(field: LightField, max_width: int = 1600) -> Image.Image:
 
 
 def _thumbnail(field: LightField, number: int, size: tuple[int, int]) -> Image.Image:
-    view = field.views[number].detach().to("cpu", torch.float32)
+    view = field.view(number).detach().to("cpu", torch.float32)
     small = functional.interpolate(view[None], size, mode="bilinear", antialias=True)[0]
     pixels = (small.clamp(0, 1) * 255).round().to(torch.uint8).expand(3, -1, -1)
     return Image.fromarray(pixels.permute(1, 2, 0).contiguous().numpy(), "RGB")

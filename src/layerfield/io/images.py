@@ -83,6 +83,16 @@ def select_channels(
     return pixels, ()
 
 
+def to_planes(pixels: Num[np.ndarray, "y x c"], source: str) -> Num[np.ndarray, "c y x"]:
+    """Return stored values with the channels first: whole numbers as they are, others as floats.
+
+    Arguments and errors as in `to_floats`.
+    """
+    if pixels.dtype in (np.uint8, np.uint16):
+        return np.ascontiguousarray(np.moveaxis(pixels, -1, 0))
+    return to_floats(pixels, source)
+
+
 def to_floats(pixels: Num[np.ndarray, "y x c"], source: str) -> Float32[np.ndarray, "c y x"]:
     """Bring stored values to the range from 0 to 1.
 

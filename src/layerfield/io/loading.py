@@ -2,16 +2,18 @@
 
 from pathlib import Path
 
+import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Num
 from torch import Tensor
 
-from layerfield.io.images import Picture, to_floats
+from layerfield.io.images import Picture, to_planes
 from layerfield.io.options import FieldOptions
 from layerfield.io.readers import READERS
 from layerfield.io.reframing import Reframing, plan_reframing, reframing_of_eyes
 from layerfield.io.selection import select_eyes, select_views
 from layerfield.io.stored import StoredViews
+from layerfield.kept_views import KeptViews
 from layerfield.light_field import EyeViews, LightField
 
 _DEFAULTS = FieldOptions()
@@ -25,7 +27,8 @@ def load_light_field(path: str | Path, options: FieldOptions = _DEFAULTS) -> Lig
         options: how it is stored and which part to take.
 
     Returns:
-        float32 views from 0 to 1, with 1 or 3 channels, row by row from the top left.
+        Views with 1 or 3 channels, row by row from the top left. Whole numbers of files stay what
+        they are, unless views are shifted by fractions of a pixel or scaled; others become float32.
 
     Raises:
         ValueError: one line that says what was found, what was expected and what to do.
@@ -66,7 +69,7 @@ def load_eye_views(path: str | Path, options: FieldOptions, *, reach: float = 1.
     plan = plan_reframing(grid, _pixels(first), options)
     reframe, eyes = reframing_of_eyes(plan, grid, _pixels(first), list(places), options.shift)
     views, _ = _decode(stored, tuple(places[eye] for eye in eyes), reframe, (chosen[0], first))
-    return EyeViews(views, eyes)
+    return EyeViews(KeptViews(views).all(), eyes)
 
 
 def field_name(path: str | Path) -> str:
@@ -97,7 +100,7 @@ def _pixels(picture: Picture) -> tuple[int, int]:
 
 def _decode(
     stored: StoredViews, chosen: tuple[int, ...], reframe: Reframing, known: tuple[int, Picture]
-) -> tuple[Float[Tensor, "view c y x"], tuple[str, ...]]:
+) -> tuple[Num[Tensor, "view c y x"], tuple[str, ...]]:
     """Read and reframe chosen views; one of the light field is known, and others are like it."""
     known_number, first = known
     views = torch.empty(0)
@@ -106,17 +109,24 @@ def _decode(
         picture = first if number == known_number else stored.read(number)
         _refuse_difference(picture, first, stored.label(number), stored.label(known_number))
         notes += picture.notes
-        pixels = torch.from_numpy(to_floats(picture.pixels, stored.label(number)))
-        view = reframe(pixels, place)
+        planes = to_planes(picture.pixels, stored.label(number))
+        pixels = torch.from_numpy(np.require(planes, requirements=["W"]))  # torch wants to write
+        view = reframe(pixels if reframe.is_cut else _values(pixels), place)
         if place == 0:
             views = _allocate(len(chosen), view)
+        if view.dtype != views.dtype:  # files of different depth
+            views, view = _values(views), _values(view)
         views[place] = view
     return views, tuple(notes)
 
 
-def _allocate(count: int, view: Float[Tensor, "c y x"]) -> Float[Tensor, "view c y x"]:
+def _values(stored: Num[Tensor, "*view c y x"]) -> Float[Tensor, "*view c y x"]:
+    return KeptViews(stored).all() if stored.ndim > 3 else KeptViews(stored[None]).view(0)
+
+
+def _allocate(count: int, view: Num[Tensor, "c y x"]) -> Num[Tensor, "view c y x"]:
     try:
-        return torch.empty(count, *view.shape)
+        return view.new_empty(count, *view.shape)
     except RuntimeError:
         raise ValueError(
             f"{count} views of {view.shape[2]}x{view.shape[1]} px do not fit into the memory; take "

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Num
 from torch import Tensor
 from torch.nn import functional
 
@@ -31,8 +31,14 @@ class Reframing:
     size: tuple[int, int]
     crop: tuple[slice, slice]
 
-    def __call__(self, view: Float[Tensor, "c y x"], index: int) -> Float[Tensor, "c y2 x2"]:
-        """Return what is kept of the view with this index."""
+    @property
+    def is_cut(self) -> bool:
+        """Whether pixels are merely chosen, so that whole numbers stay what they are."""
+        window = tuple(end - first for first, end in self.window)
+        return window == self.size and all(o.is_integer() for yx in self.offsets for o in yx)
+
+    def __call__(self, view: Num[Tensor, "c y x"], index: int) -> Num[Tensor, "c y2 x2"]:
+        """Return what is kept of the view with this index; of floats unless `is_cut`."""
         for axis, offset, (first, end) in zip(
             (1, 2), self.offsets[index], self.window, strict=True
         ):
@@ -139,8 +145,8 @@ def _rectangle(crop: Crop | None, size: tuple[int, int]) -> tuple[slice, slice]:
 
 
 def _move(
-    view: Float[Tensor, "c y x"], axis: int, offset: float, window: tuple[int, int]
-) -> Float[Tensor, "c y2 x2"]:
+    view: Num[Tensor, "c y x"], axis: int, offset: float, window: tuple[int, int]
+) -> Num[Tensor, "c y2 x2"]:
     first = window[0] - math.ceil(offset)
     count = window[1] - window[0]
     fraction = math.ceil(offset) - offset

@@ -80,10 +80,10 @@ def _finish(figure: Figure, rows: Sequence[RowFacts], compared: bool) -> None:
                 textcoords="offset points", fontsize=SMALL - 1, color=MUTED,
             )  # fmt: skip
     axes.margins(0.08)
-    _plain(axes.xaxis, *axes.get_xlim())
+    plain_numbers(axes.xaxis, *axes.get_xlim())
     if compared:
         _keep_apart(axes)
-        _plain(axes.yaxis, *axes.get_ylim())
+        plain_numbers(axes.yaxis, *axes.get_ylim())
 
 
 def _keep_apart(axes: Axes) -> None:
@@ -93,7 +93,8 @@ def _keep_apart(axes: Axes) -> None:
         axes.set_ylim(low / 1.5, high * 1.5)
 
 
-def _plain(axis: Axis, low: float, high: float) -> None:
+def plain_numbers(axis: Axis, low: float, high: float) -> None:
+    """Write plain numbers on a logarithmic axis that reaches from low to high."""
     steps = (1.0,) if high > 3000 * low else (1.0, 2.0, 5.0)
     axis.set_major_locator(LogLocator(subs=steps))
     axis.set_major_formatter(lambda value, _: f"{value:g}")

@@ -42,7 +42,7 @@ def figures_of_field(measured: Measured, display: Display) -> Iterator[tuple[str
 def target_field(field: LightField) -> Figure:
     """Figure 3: corner views and the central one."""
     cells = [
-        Cell(field.views[n], f"row {n // field.grid[1]}, column {n % field.grid[1]}")
+        Cell(field.view(n), f"row {n // field.grid[1]}, column {n % field.grid[1]}")
         for n in _places(field)
     ]
     (rows, columns), (height, width) = field.grid, field.size
@@ -174,8 +174,8 @@ def reconstructions(measured: Measured, display: Display) -> Figure:
     field = measured.field
     corner, middle = _places(field)[0], _places(field)[2]
     chosen = [(corner, "top left view"), (middle, "central view")]
-    blank = torch.ones_like(field.views[0])
-    target = [cell for n, name in chosen for cell in (Cell(field.views[n], name), Cell(blank))]
+    blank = torch.ones_like(field.view(0))
+    target = [cell for n, name in chosen for cell in (Cell(field.view(n), name), Cell(blank))]
     rows = [("target", "#191c21", target)]
     for shown in measured.shown.values():
         views = display(shown.layers)
@@ -184,7 +184,7 @@ def reconstructions(measured: Measured, display: Display) -> Figure:
             for n, name in chosen
             for cell in (
                 Cell(views[n], name, f"{shown.by_view[n]:.2f} dB"),
-                Cell(error_map(views[n], field.views[n]), f"error, {ERROR_GAIN} times"),
+                Cell(error_map(views[n], field.view(n)), f"error, {ERROR_GAIN} times"),
             )
         ]
         rows.append((_two_lines(shown), COLOURS[shown.contender.key], cells))

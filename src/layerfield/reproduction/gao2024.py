@@ -204,7 +204,7 @@ def _record(
             for label, each in weights.items()
         },
         "solvers": [asdict(c) for c in contenders if c.iterations is not None],
-        "made_with": provenance(fields[0].views.device),
+        "made_with": provenance(fields[0].stored.device),
     }
 
 

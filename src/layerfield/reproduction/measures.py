@@ -244,7 +244,7 @@ def _memory(method: str, is_network: bool, field: LightField, display: Display) 
 
 
 def _corner(field: LightField) -> LightField:
-    return LightField(field.views[..., :32, :32].contiguous(), field.grid)
+    return LightField(field.stored[..., :32, :32].contiguous(), field.grid)
 
 
 def network_cost(network: Network, size: tuple[int, int], margin: tuple[int, int]) -> float:

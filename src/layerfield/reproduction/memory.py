@@ -15,7 +15,7 @@ def peak_memory(method: str, iterations: int | None, field: LightField, display:
     Raises:
         MemoryError: the process was killed.
     """
-    return in_own_process(_peak, method, iterations, field.views, field.grid, display.spec)
+    return in_own_process(_peak, method, iterations, field.stored, field.grid, display.spec)
 
 
 def _peak(

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.gram import interleaved, inverse, multiply
+from layerfield.frequencies import multiply
 from layerfield.solve import Problem
 
 
@@ -55,20 +55,13 @@ class FourierAdmm:
     def init(self, problem: Problem, start: AdmmState | Tensor | None) -> AdmmState:
         if isinstance(start, AdmmState):
             return start
-        rho = sum(problem.weights) * (self.penalty if start is None else self.warm_penalty)
+        penalty = self.penalty if start is None else self.warm_penalty
+        rho = sum(problem.weights) * penalty
         shadow = problem.gram.to_torus(problem.even_start() if start is None else start)
         if start is not None:
             shadow = shadow + _dual(problem, shadow, rho)
-        return AdmmState(shadow, interleaved(self._resolvent(problem, rho)), rho)
-
-    def _resolvent(self, problem: Problem, rho: float) -> Tensor:
-        """2 rho (G + rho I)^-1, with the term for balance at frequency zero."""
-        matrix = problem.gram.symbol.clone()
-        identity = torch.eye(len(matrix), dtype=matrix.dtype, device=matrix.device)
-        matrix += rho * identity[:, :, None, None]
-        apart = identity - 1 / len(matrix)
-        matrix[:, :, 0, 0] += self.balance * sum(problem.weights) * apart
-        return 2 * rho * inverse(matrix)
+        resolvent = problem.gram.spectral.resolvent(penalty, self.balance)
+        return AdmmState(shadow, resolvent, rho)
 
     def step(self, problem: Problem, state: AdmmState) -> AdmmState:
         iterate = state.shadow.clamp(*problem.bounds)

@@ -1,12 +1,12 @@
 """For links that are no sum: the direct solver where they nearly are one, then sweeps."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.links import Link
-from layerfield.solve import Problem, solve
+from layerfield.solve import Problem, Solver, solve
 from layerfield.solvers.fourier_admm import FourierAdmm
 from layerfield.solvers.sweeps import Sweeps, SweepsState
 
@@ -23,11 +23,14 @@ class FourierStart:
         direct: the solver in the domain where the link is a sum.
         direct_iterations: its iterations.
         refine: what follows, on the views as they are.
+        nearly: the link whose domain is solved in, if not that of the problem: where a product
+            takes dark light for brighter is a choice.
     """
 
-    direct: FourierAdmm = field(default_factory=FourierAdmm)
+    direct: Solver = field(default_factory=FourierAdmm)
     direct_iterations: int = 20
     refine: Sweeps = field(default_factory=Sweeps)
+    nearly: Link | None = None
 
     @classmethod
     def suited(cls, link: Link) -> "FourierStart":
@@ -42,7 +45,8 @@ class FourierStart:
     def init(self, problem: Problem, start: SweepsState | Tensor | None) -> SweepsState:
         if start is not None:
             return self.refine.init(problem, start)
-        direct = solve(problem.in_sum_domain(), self.direct, iterations=self.direct_iterations)
+        known = replace(problem, link=self.nearly or problem.link)
+        direct = solve(known.in_sum_domain(), self.direct, iterations=self.direct_iterations)
         layers = problem.link.from_sum(direct.layers).clamp(*problem.bounds)
         return self.refine.init(problem, problem.in_subframes(layers))
 

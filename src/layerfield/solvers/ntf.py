@@ -50,7 +50,7 @@ def _ratio(
         pixels = projection.windows(layers, i)
         others = link.derivative(pixels, index)
         shown = link.compose(pixels).mean(dim=-4, keepdim=True)
-        target = problem.target[..., i, :, :, :].unsqueeze(-4)
+        target = problem.light(i).unsqueeze(-4)
         projection.scatter_(wanted, others * target, i, index, weight)
         projection.scatter_(found, others * shown, i, index, weight)
     return torch.where(found > 0, wanted / found.clamp(min=1e-12), 1)

@@ -35,7 +35,7 @@ class Sart:
         largest = max(problem.weights)
         for i in _scattered(len(problem.weights)):
             step = self.relaxation * problem.weights[i] / largest / problem.layer_count
-            residual = (problem.target[..., i, :, :, :] - problem.view(layers, i)).mul_(step)
+            residual = (problem.light(i) - problem.view(layers, i)).mul_(step)
             for k in range(problem.layer_count):
                 layer = layers[..., k, :, :, :]
                 problem.projection.scatter_(layer, residual.unsqueeze(-4), i, k)

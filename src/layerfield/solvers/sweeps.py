@@ -8,7 +8,7 @@ from torch import Tensor
 
 from layerfield.solve import Problem
 
-_PASSES = 3  # through the subframes of a layer in a step; they cost nothing per view
+_PASSES = 3  # through several subframes of a layer in a step; they cost nothing per view
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,15 +70,22 @@ def best_layer(
     best = layers[..., index, :, :, :].clone()
     slope, curvature = _normal_equations(problem, layers, index)
     subframes = range(best.shape[-4])
-    for _ in range(_PASSES if len(subframes) > 1 else 1):
+    if len(subframes) == 1:
+        return (best + _step(slope[0], curvature[0][0]).unsqueeze(-4)).clamp(*problem.bounds)
+    for _ in range(_PASSES):
         for s in subframes:
-            pixels, own = best[..., s, :, :, :], curvature[s][s]
-            step = torch.where(own > 0, slope[s] / own.clamp(min=1e-12), 0)
+            pixels = best[..., s, :, :, :]
+            step = _step(slope[s], curvature[s][s])
             moved = (pixels + step).clamp_(*problem.bounds).sub_(pixels)
             pixels.add_(moved)
             for t in subframes:
                 slope[t].addcmul_(curvature[s][t], moved, value=-1)
     return best
+
+
+def _step(slope: Tensor, curvature: Tensor) -> Tensor:
+    """Pixels that influence nothing stay."""
+    return torch.where(curvature > 0, slope / curvature.clamp(min=1e-12), 0)
 
 
 def _normal_equations(
@@ -92,7 +99,7 @@ def _normal_equations(
     for i, weight in enumerate(problem.weights):
         pixels = projection.windows(layers, i)
         others = link.derivative(pixels, index).unbind(dim=-4)
-        residual = problem.target[..., i, :, :, :] - link.compose(pixels).mean(dim=-4)
+        residual = problem.light(i) - link.compose(pixels).mean(dim=-4)
         for s in range(count):
             projection.scatter_(slope[s], others[s] * residual, i, index, weight / count)
             for t in range(s + 1):

@@ -3,7 +3,7 @@
 import inspect
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -20,11 +20,13 @@ Stretch = Positive | tuple[Positive, Positive]
 Factors = Annotated[tuple[Positive, ...], Field(min_length=1)]
 
 
-class _Table(BaseModel):
+class Table(BaseModel):
+    """A table of a recipe: no unknown keys, not to be changed."""
+
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class StoredScenes(_Table):
+class StoredScenes(Table):
     """A finite set of patches of procedural scenes; one epoch is one pass.
 
     A sample is one colour channel of a patch, its intensity multiplied by one of the factors.
@@ -42,7 +44,7 @@ class StoredScenes(_Table):
     stretch: Positive = 1.0
 
 
-class Cut(_Table):
+class Cut(Table):
     """How patches are cut from light fields at random.
 
     Args:
@@ -100,7 +102,7 @@ class FieldFolder(Cut):
     options: dict[str, str | int | float] = {}
 
 
-class Loss(_Table):
+class Loss(Table):
     """Mean square error of the views plus weight times a regulariser of the pixel values.
 
     Args:
@@ -119,7 +121,7 @@ class Loss(_Table):
     clamped: bool = False
 
 
-class Optimiser(_Table):
+class Optimiser(Table):
     """How weights follow gradients.
 
     Args:
@@ -135,7 +137,7 @@ class Optimiser(_Table):
     schedule: Literal["constant", "cosine"] = "constant"
 
 
-class Judging(_Table):
+class Judging(Table):
     """Validation and test scenes, disjoint from each other and from those of training.
 
     Args:
@@ -149,7 +151,7 @@ class Judging(_Table):
     stretch: Stretch = 1.0
 
 
-class Recipe(_Table):
+class Recipe(Table):
     """Everything that a training depends on.
 
     Args:
@@ -237,13 +239,23 @@ def recipe_names() -> list[str]:
 
 
 def read_recipe(name: str | Path) -> Recipe:
-    """Return the recipe of that name, or of a TOML file.
+    """Return the recipe of a network, by its name or from a TOML file.
+
+    Raises:
+        ValueError: no such recipe or file, or a file that is no recipe, with the key.
+    """
+    data, source = recipe_data(name)
+    return validated(Recipe, data, source)
+
+
+def recipe_data(name: str | Path) -> tuple[dict[str, Any], str]:
+    """Return what a recipe says, of a network or of learned steps, and where that was found.
 
     A path whose file does not exist, as `recipes/quick.toml`, means the recipe that ships under
     that name.
 
     Raises:
-        ValueError: no such recipe or file, or a file that is no recipe, with the key.
+        ValueError: no such recipe or file, or no TOML.
     """
     path = Path(name)
     if path.is_file():
@@ -255,7 +267,7 @@ def read_recipe(name: str | Path) -> Recipe:
         raise ValueError(
             f"there is no file {name}, and no such recipe ships: unknown recipe '{path.stem}'{near}"
         )
-    return validated(Recipe, parse_toml(text, source), source)
+    return parse_toml(text, source), source
 
 
 def _refuse_large(patch: int, size: int) -> None:

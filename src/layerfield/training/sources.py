@@ -30,6 +30,8 @@ _TRAINING, _VALIDATION, _TEST = 0, 2**30, 2**31
 _ROOM = 2**20  # scenes of one seed
 _BATCH = 8  # scenes rendered at once
 
+_PURPOSES = {"training": _TRAINING, "validation": _VALIDATION, "test": _TEST}
+
 Samples = Float[Tensor, "sample view y x"]
 
 
@@ -52,6 +54,11 @@ class Source(Protocol):
     def sets(self, recipe: Recipe) -> dict[str, Float[Tensor, "scene view c y x"]]:
         """Return what a network is judged on: `validation`, `test` and, if finite, `train`."""
         ...
+
+
+def first_seed(purpose: str, seed: int) -> int:
+    """Return the seed of the first scene for a purpose: `training`, `validation` or `test`."""
+    return _PURPOSES[purpose] + seed * _ROOM
 
 
 def scenes(
@@ -136,7 +143,7 @@ class Stored:
         """One patch of every scene."""
         return scenes(
             self.display, self.data.scenes, self.data.patch,
-            seed=_TRAINING + self.seed * _ROOM, stretch=self.data.stretch,
+            seed=first_seed("training", self.seed), stretch=self.data.stretch,
             device=torch.device("cpu"),
         )  # fmt: skip
 
@@ -231,7 +238,7 @@ class ScenePool:
 
     def __init__(self, data: DrawnScenes, display: Display, seed: int, device: torch.device):
         self.data, self.display, self.device = data, display, device
-        self.first = _TRAINING + seed * _ROOM
+        self.first = first_seed("training", seed)
         self._held: dict[int, Tensor] = {}
 
     def __call__(self, step: int) -> list[UInt8[Tensor, "view 3 y x"]]:

@@ -1,0 +1,55 @@
+"""A^T W L, all that a sum link needs to know of the views, from views of 8 bit."""
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from layerfield.kept_views import LARGEST, KeptViews
+from layerfield.projection import Projection
+
+_MOST = {torch.int16: 2**15 - 1, torch.int32: 2**31 - 1}  # the largest sums they hold
+
+
+def back_projected(
+    projection: Projection, views: KeptViews, weights: Sequence[float]
+) -> Float[Tensor, "*batch layer c ly lx"]:
+    """Return A^T W L; every view is read once, and no others are floats meanwhile.
+
+    Where light paths meet layers at whole pixels and all views count alike, codes are summed up as
+    the whole numbers they are: exact, and half the bytes of floats to move.
+
+    Args:
+        projection: A.
+        views: L.
+        weights: W, one for every view.
+    """
+    if projection.is_whole and views.is_whole and views.table is None and len({*weights}) == 1:
+        largest = LARGEST[views.stored.dtype]
+        held = [dtype for dtype, most in _MOST.items() if largest * len(views) <= most]
+        if held:
+            sums = _summed(projection, views.stored, held[0])
+            return sums.to(torch.float32).mul_(weights[0]).div_(largest)
+    first = views.stored
+    *batch, _, channels, _, _ = first.shape
+    size = projection.layer_size(first)
+    layers = views.like.new_zeros(*batch, len(projection.shifts[0]), channels, *size)
+    for i, weight in enumerate(weights):
+        view = views.view(i)
+        for k, layer in enumerate(layers.unbind(dim=-4)):
+            projection.scatter_(layer, view, i, k, weight)
+    return layers
+
+
+def _summed(projection: Projection, codes: Tensor, dtype: torch.dtype) -> Tensor:
+    """A^T of codes for shifts of whole pixels, in whole numbers."""
+    *batch, _, channels, height, width = codes.shape
+    size = projection.layer_size(codes)
+    shape = (*batch, len(projection.shifts[0]), channels, *size)
+    layers = torch.zeros(shape, dtype=dtype, device=codes.device)
+    for view, taps in zip(codes.unbind(dim=-4), projection.taps, strict=True):
+        wide = view.to(dtype)
+        for layer, ((top, left, _),) in zip(layers.unbind(dim=-4), taps, strict=True):
+            layer[..., top : top + height, left : left + width].add_(wide)
+    return layers

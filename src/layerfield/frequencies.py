@@ -1,0 +1,145 @@
+"""Small matrices, one for every frequency: multiplied, inverted, and those of low frequencies.
+
+Views without borders make the Gram matrix of layers one such matrix, layer by layer.
+"""
+
+import torch
+from jaxtyping import Complex, Inexact
+from torch import Tensor
+
+_MOST_KEPT = 1 << 29  # bytes of the resolvents of a display
+
+
+class Spectral:
+    """The Gram matrix of every frequency of a torus, and its resolvents.
+
+    Args:
+        symbol: G(f).
+        torus: height and width.
+        weight: of all views together.
+    """
+
+    def __init__(
+        self, symbol: Inexact[Tensor, "layer layer fy fx"], torus: tuple[int, int], weight: float
+    ) -> None:
+        self.symbol, self.torus, self.weight = symbol, torus, weight
+        self._kept: dict[tuple[float, float], Tensor] = {}
+        self._coarser: dict[int, Spectral] = {}
+
+    def resolvent(self, penalty: float, balance: float) -> Tensor:
+        """Return 2 rho (G + rho I)^-1 for `multiply`, rho = penalty times the weight of all views.
+
+        Computed once for a penalty: it depends on the display alone.
+
+        Args:
+            penalty: share of the weight.
+            balance: share of it, too: of b (I - 1/K), which is added to G at frequency zero.
+        """
+        key = (penalty, balance)
+        if key not in self._kept:
+            found = resolvent(self, penalty, balance)
+            if sum(map(_size, self._kept.values())) + _size(found) > _MOST_KEPT:
+                self._kept.clear()
+            self._kept[key] = found
+        return self._kept[key]
+
+    def coarser(self, times: int) -> "Spectral":
+        """Return the same display seen with so-many times larger pixels: its low frequencies."""
+        if times not in self._coarser:
+            torus = (self.torus[0] // times, self.torus[1] // times)
+            self._coarser[times] = Spectral(low(self.symbol, torus), torus, self.weight)
+        return self._coarser[times]
+
+
+def resolvent(spectral: Spectral, penalty: float, balance: float) -> Tensor:
+    """Return what `Spectral.resolvent` keeps."""
+    rho, matrix = penalty * spectral.weight, spectral.symbol.clone()
+    identity = torch.eye(len(matrix), dtype=matrix.dtype, device=matrix.device)
+    matrix += rho * identity[:, :, None, None]
+    matrix[:, :, 0, 0] += balance * spectral.weight * (identity - 1 / len(matrix))
+    return interleaved(2 * rho * inverse(matrix))
+
+
+def low(
+    spectrum: Inexact[Tensor, "*batch fy fx"], torus: tuple[int, int]
+) -> Inexact[Tensor, "*batch gy gx"]:
+    """Return the low frequencies of a spectrum, as those of a smaller torus; its highest are 0."""
+    (height, width), (up, down, across) = torus, _kept_frequencies(torus)
+    result = spectrum.new_zeros(*spectrum.shape[:-2], height, width // 2 + 1)
+    result[..., :up, :across] = spectrum[..., :up, :across]
+    result[..., height - down :, :across] = spectrum[..., spectrum.shape[-2] - down :, :across]
+    return result
+
+
+def put_low_(
+    spectrum: Complex[Tensor, "*batch fy fx"],
+    lower: Complex[Tensor, "*batch gy gx"],
+    torus: tuple[int, int],
+) -> None:
+    """Replace the low frequencies of a spectrum, in place; the reverse of `low`."""
+    height, (up, down, across) = torus[0], _kept_frequencies(torus)
+    spectrum[..., :up, :across] = lower[..., :up, :across]
+    start = spectrum.shape[-2] - down
+    spectrum[..., start:, :across] = lower[..., height - down :, :across]
+
+
+def _kept_frequencies(torus: tuple[int, int]) -> tuple[int, int, int]:
+    """Rows from frequency zero up, rows below it, and columns; all below the highest of all."""
+    down = (torus[0] - 1) // 2
+    return down + 1, down, (torus[1] - 1) // 2 + 1
+
+
+def _size(values: Tensor) -> int:
+    return values.numel() * values.element_size()
+
+
+def interleaved(
+    matrix: Inexact[Tensor, "layer layer fy fx"],
+) -> Tensor:
+    """Prepare a matrix for `multiply`.
+
+    A real matrix acts on real and imaginary parts alike; with every entry twice, it fits a
+    spectrum whose real and imaginary parts lie side by side in one long real row.
+    """
+    return matrix if matrix.is_complex() else matrix.repeat_interleave(2, dim=-1)
+
+
+def multiply(
+    matrix: Tensor, spectrum: Complex[Tensor, "*batch layer c fy fx"]
+) -> Complex[Tensor, "*batch layer c fy fx"]:
+    """Multiply every frequency of a spectrum by its layer x layer matrix, once `interleaved`."""
+    if matrix.is_complex():
+        return _multiply(matrix, spectrum)
+    product = _multiply(matrix, torch.view_as_real(spectrum).flatten(-2))
+    return torch.view_as_complex(product.unflatten(-1, (-1, 2)))
+
+
+def _multiply(matrix: Tensor, spectrum: Tensor) -> Tensor:
+    product = torch.empty_like(spectrum)
+    planes = spectrum.unbind(dim=-4)
+    for row, total in zip(matrix, product.unbind(dim=-4), strict=True):
+        torch.mul(row[0], planes[0], out=total)
+        for entry, plane in zip(row[1:], planes[1:], strict=True):
+            total.addcmul_(entry, plane)
+    return product
+
+
+def inverse(matrix: Inexact[Tensor, "layer layer fy fx"]) -> Inexact[Tensor, "layer layer fy fx"]:
+    """Invert the positive definite matrix of every frequency, by Gauss-Jordan elimination.
+
+    All frequencies go together; the few steps over layers cost less than a batched library call.
+    """
+    left = matrix.clone()
+    right = torch.zeros_like(matrix)
+    for k in range(len(matrix)):
+        right[k, k] = 1
+    for k in range(len(matrix)):
+        pivot = left[k, k].clone()
+        left[k] /= pivot
+        right[k] /= pivot
+        for row in range(len(matrix)):
+            if row != k:
+                factor = left[row, k].clone()
+                left[row] -= factor * left[k]
+                right[row] -= factor * right[k]
+    return right

@@ -1,0 +1,158 @@
+"""A few steps of the direct solver, each with constants of its own that were learned."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from layerfield.frequencies import Spectral, low, multiply, put_low_
+from layerfield.solve import Problem
+from layerfield.solvers.fourier_admm import AdmmState, FourierAdmm
+
+COARSE = 4  # times larger are the pixels of the coarse steps
+BALANCE = 0.003  # as of the direct solver
+_LEAST = 8  # pixels of a coarse torus; smaller pictures go without
+
+
+@dataclass(frozen=True)
+class Constants:
+    """What one step of ADMM depends on.
+
+    Args:
+        penalty: rho as a share of the sum of view weights.
+        relaxation: a, how far to go.
+        trust: factor of the dual that enters the step.
+        kept: share of the dual that the next step is given.
+        momentum: share of the last change that is made once more.
+    """
+
+    penalty: float
+    relaxation: float
+    trust: float
+    kept: float
+    momentum: float
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedState:
+    """Iterate and dual, s = z + u, those of one step ago, and the learned steps made.
+
+    `after` is the state of what goes on behind the last of them; then it alone counts.
+    """
+
+    shadow: Float[Tensor, "*batch 1 layer c ty tx"]
+    before: Float[Tensor, "*batch 1 layer c ty tx"] | None = None
+    count: int = 0
+    after: AdmmState | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedAdmm:
+    """Minimise 1/2 ||A P - L||^2_W over a box, as well as a given number of steps can.
+
+        z = clamp(s),  u = s - z,  x = (G + rho I)^-1 (b + rho (z - trust u))
+        s <- z + kept u + a (x - z) + momentum (s - s of one step ago)
+
+    b = A^T W L + band: views are completed around their borders by what the layers show there.
+    Constants that never change lead to the optimum, in the end (ADMM); these change from step to
+    step, for the least error after the last.
+
+    The first step starts from b / (W K): every layer shows what its viewers see on average. That
+    spectrum is at hand. Its low frequencies, where light has to find its layer among bounds, are
+    solved on pixels four times as large, by steps that cost a sixteenth each.
+
+    Behind the last learned step, and from layers that are given, the direct solver goes on.
+
+    Args:
+        full: constants of every step.
+        coarse: constants of the steps on large pixels.
+        after: what goes on.
+    """
+
+    full: Sequence[Constants]
+    coarse: Sequence[Constants]
+    after: FourierAdmm = field(default_factory=FourierAdmm)
+
+    def init(self, problem: Problem, start: LearnedState | Tensor | None) -> LearnedState:
+        if start is None:
+            return LearnedState(problem.gram.to_torus(problem.even_start()))
+        if isinstance(start, LearnedState):
+            return start if start.after else self._handed_on(problem, self.layers(problem, start))
+        return self._handed_on(problem, start)
+
+    def _handed_on(self, problem: Problem, layers: Tensor) -> LearnedState:
+        after = self.after.init(problem, layers)
+        return LearnedState(after.shadow, None, len(self.full), after)
+
+    def step(self, problem: Problem, state: LearnedState) -> LearnedState:
+        if state.count == len(self.full):
+            known = state.after or self._handed_on(problem, self.layers(problem, state)).after
+            assert known is not None
+            after = self.after.step(problem, known)
+            return LearnedState(after.shadow, None, state.count, after)
+        constants = self.full[state.count]
+        data = problem.gram.band(state.shadow.clamp(*problem.bounds))
+        problem.gram.from_torus(data).add_(problem.back_projected)
+        spectral, bounds = problem.gram.spectral, problem.bounds
+        if state.count == 0:
+            return LearnedState(self._first(spectral, data, bounds), None, 1)
+        moved = _moved(spectral, data, state.shadow, state.before, constants, bounds)
+        return LearnedState(moved, state.shadow, state.count + 1)
+
+    def layers(
+        self, problem: Problem, state: LearnedState
+    ) -> Float[Tensor, "*batch 1 layer c ly lx"]:
+        return problem.gram.from_torus(state.shadow).clamp(*problem.bounds)
+
+    def _first(self, spectral: Spectral, data: Tensor, bounds: tuple[float, float]) -> Tensor:
+        constants, share = self.full[0], 1 / (spectral.weight * len(spectral.symbol))
+        a, rho = constants.relaxation, constants.penalty * spectral.weight
+        seen = torch.fft.rfft2(data)
+        # z + a (x - z) with z = share b, u = 0
+        spectrum = multiply(spectral.resolvent(constants.penalty, BALANCE), seen)
+        spectrum.mul_(a * (1 / rho + share) / 2).add_(seen, alpha=(1 - a) * share)
+        coarser = coarse_grid(spectral)
+        if coarser is not None and self.coarse:
+            seen = low(seen, coarser.torus)
+            put_low_(spectrum, self._solved_coarsely(coarser, seen, bounds), coarser.torus)
+        return torch.fft.irfft2(spectrum, s=spectral.torus)
+
+    def _solved_coarsely(
+        self, coarser: Spectral, seen: Tensor, bounds: tuple[float, float]
+    ) -> Tensor:
+        """Return the spectrum of s after all coarse steps."""
+        data = torch.fft.irfft2(seen, s=coarser.torus).div_(COARSE**2)
+        shadow, before = data / (coarser.weight * len(coarser.symbol)), None
+        for constants in self.coarse:
+            moved = _moved(coarser, data, shadow, before, constants, bounds)
+            shadow, before = moved, shadow
+        return torch.fft.rfft2(shadow).mul_(COARSE**2)
+
+
+def coarse_grid(spectral: Spectral) -> Spectral | None:
+    """Return the grid of the coarse steps, or None where the picture is too small for one."""
+    coarser = spectral.coarser(COARSE)
+    return coarser if min(coarser.torus) >= _LEAST else None
+
+
+def _moved(
+    spectral: Spectral,
+    data: Tensor,
+    shadow: Tensor,
+    before: Tensor | None,
+    constants: Constants,
+    bounds: tuple[float, float],
+) -> Tensor:
+    """Return s after a step."""
+    rho, trust, kept = constants.penalty * spectral.weight, constants.trust, constants.kept
+    iterate = shadow.clamp(*bounds)
+    # (b + rho (z - trust u)) / (2 rho), z - trust u = (1 + trust) z - trust s
+    right = torch.lerp(iterate, shadow, -trust).mul_(0.5).add_(data, alpha=1 / (2 * rho))
+    spectrum = multiply(spectral.resolvent(constants.penalty, BALANCE), torch.fft.rfft2(right))
+    moved = torch.fft.irfft2(spectrum, s=spectral.torus).sub_(iterate)
+    torch.add(iterate.lerp_(shadow, kept), moved, alpha=constants.relaxation, out=moved)
+    if before is not None:
+        moved.add_(shadow, alpha=constants.momentum).sub_(before, alpha=constants.momentum)
+    return moved

@@ -1,0 +1,181 @@
+"""The direct solver with its Fourier transforms in tiles, for pictures for which they are large."""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from layerfield.frequencies import interleaved, inverse, multiply
+from layerfield.gram import Gram, fast_length
+from layerfield.solve import Problem
+from layerfield.solvers.fourier_admm import AdmmState, FourierAdmm
+
+_LEAST_CORE = 16  # pixels of a tile that are not overlap
+
+
+@dataclass(frozen=True)
+class Span:
+    """A tile along an axis of a torus.
+
+    Args:
+        start: first pixel that it reads, before the first one of the torus if need be.
+        length: pixels that it reads, around the torus if need be.
+        core: pixels of the torus that it writes.
+    """
+
+    start: int
+    length: int
+    core: slice
+
+    @property
+    def inner(self) -> slice:
+        """The core in pixels of the tile."""
+        return slice(self.core.start - self.start, self.core.stop - self.start)
+
+    def read(self, values: Tensor, dim: int) -> Tensor:
+        """Return what it reads of a torus along a dimension."""
+        places = torch.arange(self.start, self.start + self.length, device=values.device)
+        return values.index_select(dim, places % values.shape[dim])
+
+
+@dataclass(frozen=True, eq=False)
+class TiledState(AdmmState):
+    """Iterate and dual on the torus of the whole picture; the resolvent is that of a tile.
+
+    Args:
+        band: A^T M W A of the whole picture, of which only the band is known.
+        rows: of the tiles.
+        columns: of the tiles.
+    """
+
+    band: Gram
+    rows: tuple[Span, ...]
+    columns: tuple[Span, ...]
+
+
+@dataclass(frozen=True)
+class TiledAdmm(FourierAdmm):
+    """Take the steps of `FourierAdmm` with its Fourier transforms in tiles.
+
+    All that couples far pixels in a step is (G + rho I)^-1, a convolution whose kernel fades
+    exponentially: within some ten pixels, the farther the more shifts differ and the softer the
+    penalty is. So a step transforms tiles with that much around them and keeps the core of each.
+    All tiles take one step before any takes the next: however far light of low frequency is moved
+    in the course of the iterations, the way is that of the whole picture, and there are no seams.
+    (Tiles that are solved each to its end divide such light among the layers each in its own way.)
+    The term for balance, of means over the whole torus, is taken there.
+
+    Four times the layers are in memory, where the whole takes ten.
+
+    Args:
+        size: pixels of a tile along an axis, overlap included, at most.
+        rest: share of the kernel that may lie outside a tile.
+    """
+
+    size: int = 1024
+    rest: float = 1e-4
+
+    def init(self, problem: Problem, start: AdmmState | Tensor | None) -> AdmmState:
+        if isinstance(start, AdmmState):
+            return start
+        rho = sum(problem.weights) * (self.penalty if start is None else self.warm_penalty)
+        band = problem.gram
+        tile = [_tile_length(length, self.size) for length in band.torus]
+        resolvent = _resolvent(problem, (tile[0], tile[1]), rho)
+        reach = [
+            0 if part == length else _reach(resolvent, (tile[0], tile[1]), axis, self.rest)
+            for axis, (length, part) in enumerate(zip(band.torus, tile, strict=True))
+        ]
+        rows, columns = map(_spans, band.torus, tile, reach)
+        shadow = problem.even_start() if start is None else start + _dual(problem, start, rho)
+        return TiledState(band.to_torus(shadow), interleaved(resolvent), rho, band, rows, columns)
+
+    def step(self, problem: Problem, state: AdmmState) -> AdmmState:
+        assert isinstance(state, TiledState)
+        share, result = 1 / (2 * state.rho), state.shadow.clamp(*problem.bounds)
+        right = torch.sub(result, state.shadow, alpha=0.5)
+        state.band.from_torus(right).add_(problem.back_projected, alpha=share)
+        state.band.add_band_(right, result, share)
+        shift = self._balancing(problem, state, right)
+        for rows in state.rows:
+            strip = rows.read(right, -2)
+            for columns in state.columns:
+                part = columns.read(strip, -1)
+                spectrum = multiply(state.resolvent, torch.fft.rfft2(part))
+                solved = torch.fft.irfft2(spectrum, s=part.shape[-2:])
+                moved = solved[..., rows.inner, columns.inner] + shift
+                iterate = result[..., rows.core, columns.core]
+                before = state.shadow[..., rows.core, columns.core]
+                torch.add(before, moved.sub_(iterate), alpha=self.relaxation, out=moved)
+                iterate.copy_(moved)
+        return replace(state, shadow=result)
+
+    def unbounded(
+        self, problem: Problem, state: AdmmState
+    ) -> Float[Tensor, "*batch 1 layer c ly lx"]:
+        raise NotImplementedError("the certificate of an optimum comes from FourierAdmm")
+
+    def layers(self, problem: Problem, state: AdmmState) -> Float[Tensor, "*batch 1 layer c ly lx"]:
+        assert isinstance(state, TiledState)
+        return state.band.from_torus(state.shadow).clamp(*problem.bounds)
+
+    def _balancing(self, problem: Problem, state: AdmmState, right: Tensor) -> Tensor:
+        """What the term for balance, at frequency zero of the whole torus, adds to a solution."""
+        pull = self.balance * sum(problem.weights)
+        mean = right.mean(dim=(-2, -1), keepdim=True)
+        return (mean - mean.mean(dim=-4, keepdim=True)) * (-2 * pull / (state.rho + pull))
+
+
+def _resolvent(problem: Problem, torus: tuple[int, int], rho: float) -> Tensor:
+    """2 rho (G + rho I)^-1."""
+    symbol, like = problem.projection.symbol(torus, problem.weights), problem.views.like
+    dtype = like.dtype.to_complex() if symbol.is_complex() else like.dtype
+    matrix = symbol.to(like.device, dtype)
+    for own in range(len(matrix)):
+        matrix[own, own] += rho
+    return 2 * rho * inverse(matrix)
+
+
+def _dual(problem: Problem, layers: Tensor, rho: float) -> Tensor:
+    """The dual of layers that are nearly optimal: u = -gradient / rho where a bound holds."""
+    gradient, (low, high) = torch.zeros_like(layers), problem.bounds
+    problem.projection.add_normal_(gradient, layers, problem.weights)
+    gradient -= problem.back_projected
+    held = ((layers <= low) & (gradient > 0)) | ((layers >= high) & (gradient < 0))
+    return torch.where(held, gradient / -rho, 0)
+
+
+def _tile_length(length: int, size: int) -> int:
+    """The whole torus where it fits, or the largest fast length that does."""
+    if length <= size:
+        return length
+    return next(n for n in range(size - size % 2, 0, -2) if fast_length(n) == n)
+
+
+def _reach(resolvent: Tensor, torus: tuple[int, int], axis: int, rest: float) -> int:
+    """Return how far the kernel of a resolvent reaches along an axis, but for the rest of it."""
+    kernel = torch.fft.irfft2(resolvent, s=torus).abs().sum(dim=1).amax(dim=0)
+    along = kernel.sum(dim=1 - axis).double().cpu()
+    places = torch.arange(len(along))
+    share = torch.zeros_like(along).index_add_(0, torch.minimum(places, len(along) - places), along)
+    return 1 + int((share.cumsum(0) < (1 - rest) * share.sum()).sum())
+
+
+def _spans(length: int, tile: int, reach: int) -> tuple[Span, ...]:
+    """Divide a torus evenly into tiles that read so far to each side.
+
+    Raises:
+        ValueError: next to nothing would be left of a tile.
+    """
+    core = tile - 2 * reach
+    if core < _LEAST_CORE:
+        raise ValueError(
+            f"tiles of {tile} px are too small: on this display low frequencies reach {reach} px "
+            f"to each side; take tiles of {2 * reach + 4 * _LEAST_CORE} px or more"
+        )
+    cuts = torch.linspace(0, length, 1 - (-length // core), dtype=torch.float64).round().int()
+    return tuple(
+        Span(first - reach, tile, slice(first, last)) for first, last in pairwise(cuts.tolist())
+    )

@@ -1,0 +1,151 @@
+"""Learned steps of the direct solver as a differentiable formula: what `learned_admm` runs fast.
+
+The band around the views and the solving in the Fourier domain are linear, so that their
+derivatives are themselves once more; the rest is left to autograd.
+"""
+
+import math
+from dataclasses import fields
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from layerfield.frequencies import Spectral, low, multiply, put_low_, resolvent
+from layerfield.gram import Gram
+from layerfield.solve import Problem
+from layerfield.solvers.learned_admm import BALANCE, COARSE, Constants, LearnedAdmm, coarse_grid
+
+_FIRST = {"penalty": math.log(0.02), "relaxation": 1.6, "trust": 1.0, "kept": 0.6, "momentum": 0.0}
+_LAST_PENALTY = math.log(0.1)
+
+
+class LearnedSteps(nn.Module):
+    """Constants of full and coarse steps, to be learned; see `LearnedAdmm` for the formula.
+
+    Args:
+        full: number of steps.
+        coarse: number of steps on large pixels.
+
+    Attributes:
+        full: a row for every step, in the order of `Constants`; the logarithm of the penalty.
+        coarse: the same.
+    """
+
+    def __init__(self, full: int, coarse: int) -> None:
+        super().__init__()
+        self.full = nn.Parameter(_start(full))
+        self.coarse = nn.Parameter(_start(coarse))
+
+    @torch.no_grad()
+    def solver(self) -> LearnedAdmm:
+        """Return the solver with what was learned."""
+        full, coarse = (_real(rows).tolist() for rows in (self.full, self.coarse))
+        return LearnedAdmm([Constants(*row) for row in full], [Constants(*row) for row in coarse])
+
+    def forward(self, problem: Problem) -> Float[Tensor, "*batch 1 layer c ly lx"]:
+        """Return the layers of a problem whose link is a sum, in the bounds of the problem."""
+        gram, bounds = problem.gram, problem.bounds
+        back = gram.to_torus(problem.back_projected)
+        full, coarse = _real(self.full), _real(self.coarse)
+        shadow = gram.to_torus(problem.even_start())
+        data = back + _Band.apply(shadow.clamp(*bounds), gram)
+        shadow, before = _first(gram.spectral, data, full[0], coarse, bounds), None
+        for row in full[1:]:
+            data = back + _Band.apply(shadow.clamp(*bounds), gram)
+            moved = _moved(gram.spectral, data, shadow, before, row, bounds)
+            shadow, before = moved, shadow
+        return gram.from_torus(shadow).clamp(*bounds)
+
+
+def _start(steps: int) -> Tensor:
+    rows = torch.tensor([list(_FIRST.values())]).repeat(steps, 1)
+    rows[:, 0] = torch.linspace(_LAST_PENALTY, _FIRST["penalty"], steps).flip(0)
+    return rows
+
+
+def _real(rows: Tensor) -> Tensor:
+    """Return constants for what is learned of them: a penalty is above 0."""
+    assert rows.shape[-1] == len(fields(Constants))
+    return torch.cat([rows[:, :1].exp(), rows[:, 1:]], dim=1)
+
+
+def _first(
+    spectral: Spectral,
+    data: Tensor,
+    row: Tensor,
+    coarse: Tensor,
+    bounds: tuple[float, float],
+) -> Tensor:
+    """Return s after the first step."""
+    share, pixels = 1 / (spectral.weight * len(spectral.symbol)), COARSE**2
+    penalty, a = row[0], row[1]
+    rho = penalty * spectral.weight
+    seen = torch.fft.rfft2(data)
+    start = share * seen
+    spectrum = start + a * (_solved(spectral, seen + rho * start, penalty) - start)
+    coarser = coarse_grid(spectral)
+    if coarser is not None and len(coarse):
+        back = torch.fft.irfft2(low(seen, coarser.torus), s=coarser.torus) / pixels
+        shadow, before = share * back, None
+        for each in coarse:
+            moved = _moved(coarser, back, shadow, before, each, bounds)
+            shadow, before = moved, shadow
+        put_low_(spectrum, torch.fft.rfft2(shadow) * pixels, coarser.torus)
+    return torch.fft.irfft2(spectrum, s=spectral.torus)
+
+
+def _moved(
+    spectral: Spectral,
+    data: Tensor,
+    shadow: Tensor,
+    before: Tensor | None,
+    row: Tensor,
+    bounds: tuple[float, float],
+) -> Tensor:
+    """Return s after a step."""
+    penalty, relaxation, trust, kept, momentum = row
+    iterate = shadow.clamp(*bounds)
+    dual = shadow - iterate
+    right = data + penalty * spectral.weight * (iterate - trust * dual)
+    solved = _solved(spectral, torch.fft.rfft2(right), penalty)
+    solution = torch.fft.irfft2(solved, s=spectral.torus)
+    moved = iterate + kept * dual + relaxation * (solution - iterate)
+    return moved if before is None else moved + momentum * (shadow - before)
+
+
+def _solved(spectral: Spectral, spectrum: Tensor, penalty: Tensor) -> Tensor:
+    """Return (G + rho I)^-1 spectrum."""
+    rho = penalty * spectral.weight
+    matrix = resolvent(spectral, penalty.item(), BALANCE)
+    return _Solve.apply(spectrum, rho, matrix) / (2 * rho)
+
+
+class _Band(torch.autograd.Function):
+    """The band of layers is linear in them and its own adjoint."""
+
+    @staticmethod
+    def forward(ctx: Any, layers: Tensor, gram: Gram) -> Tensor:
+        ctx.gram = gram
+        return gram.band(layers)
+
+    @staticmethod
+    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor, None]:  # pyright: ignore
+        return ctx.gram.band(slope), None
+
+
+class _Solve(torch.autograd.Function):
+    """R S with R = 2 rho (G + rho I)^-1, hence dR / d rho = R / rho - R^2 / (2 rho); R = R^H."""
+
+    @staticmethod
+    def forward(ctx: Any, spectrum: Tensor, rho: Tensor, matrix: Tensor) -> Tensor:
+        product = multiply(matrix, spectrum)
+        ctx.save_for_backward(product, rho, matrix)
+        return product
+
+    @staticmethod
+    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor, Tensor, None]:  # pyright: ignore
+        product, rho, matrix = ctx.saved_tensors
+        by_rho = (product - multiply(matrix, product) / 2) / rho
+        return multiply(matrix, slope), (slope.conj() * by_rho).real.sum(), None

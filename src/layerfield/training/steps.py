@@ -1,0 +1,214 @@
+"""Training of learned steps: a hundred numbers, some hundred iterations of Adam, one core."""
+
+import json
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import cycle, islice
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from layerfield.fast import Learned, LearnedCard, write_learned
+from layerfield.io import whole_file
+from layerfield.links import Multiplicative
+from layerfield.provenance import provenance
+from layerfield.solve import Problem, solve
+from layerfield.solvers.sweeps import best_layer
+from layerfield.synthesizer import SOLVERS
+from layerfield.training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
+from layerfield.training.learned_steps import LearnedSteps
+from layerfield.training.records import CHECKPOINT, RESULT, WEIGHTS, open_run
+from layerfield.training.sources import first_seed, scenes
+from layerfield.training.steps_recipe import StepsRecipe
+
+_CPU = torch.device("cpu")
+
+
+def problems(recipe: StepsRecipe, purpose: str) -> list[Problem]:
+    """Return the problems of a recipe: the scenes of every display, for one purpose.
+
+    Args:
+        recipe: which.
+        purpose: `training`, `validation` or `test`; they share no scene.
+    """
+    posed = []
+    for n, grid in enumerate(recipe.displays):
+        display = grid.display(recipe.link)
+        seed = first_seed(purpose, recipe.seed) + n * recipe.scenes
+        drawn = scenes(
+            display, recipe.scenes, recipe.size, seed=seed, stretch=recipe.stretch, device=_CPU
+        )
+        generator = torch.Generator().manual_seed(seed)
+        low, high = (math.log(end) for end in recipe.gammas)
+        gammas = torch.empty(recipe.scenes).uniform_(low, high, generator=generator).exp()
+        posed.append(Problem.of(display, (drawn / 255.0) ** gammas[:, None, None, None, None]))
+    return posed
+
+
+def learn(
+    recipe: StepsRecipe, steps: int, posed: list[Problem], tick: Callable[[int], None]
+) -> LearnedSteps:
+    """Return constants for a number of steps.
+
+    Minimised is the mean logarithm of the mean square errors of scenes, PSNR but for its sign.
+
+    Args:
+        recipe: how.
+        steps: how many full steps.
+        posed: to train on.
+        tick: called with the number of iterations done.
+    """
+    model = LearnedSteps(steps, recipe.coarse)
+    optimiser = torch.optim.Adam(model.parameters(), lr=recipe.rate)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, recipe.iterations)
+    for done, problem in enumerate(islice(cycle(posed), recipe.iterations)):
+        tick(done)
+        loss = squares(problem, shown_by(recipe, model, problem)).log().mean()
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        schedule.step()
+    return model
+
+
+def shown_by(
+    recipe: StepsRecipe, model: LearnedSteps, problem: Problem
+) -> Float[Tensor, "*batch 1 layer c ly lx"]:
+    """Return layers for a problem, differentiable by the constants."""
+    if problem.link.is_sum:
+        return model(problem)
+    known = replace(problem, link=Multiplicative(darkest=recipe.darkest))
+    layers = problem.link.from_sum(model(known.in_sum_domain()))
+    for _ in range(recipe.sweeps):
+        for k in range(problem.layer_count):
+            best = best_layer(problem, layers, k).unsqueeze(-4)
+            layers = torch.cat([layers[..., :k, :, :, :], best, layers[..., k + 1 :, :, :, :]], -4)
+    return layers
+
+
+def squares(problem: Problem, layers: Tensor) -> Float[Tensor, " batch"]:
+    """Return the mean square error of every light field of a batch."""
+    total = torch.zeros(len(layers))
+    for i, weight in enumerate(problem.weights):
+        residual = problem.view(layers, i) - problem.light(i)
+        total = total + weight * residual.square().mean(dim=(-3, -2, -1))
+    return total / sum(problem.weights)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepsRun:
+    """A training of learned steps: a recipe and a place.
+
+    Args:
+        recipe: what to do.
+        out: folder of the run.
+        resume: go on behind the last number of steps that was finished in `out`.
+        force: replace an earlier training in `out`.
+        command: to be recorded.
+        tick: called with a line and the share of the work that is done, of 100.
+    """
+
+    recipe: StepsRecipe
+    out: Path
+    resume: bool = False
+    force: bool = False
+    command: str = ""
+    tick: Callable[[str, int], None] | None = None
+
+
+def train_steps(run: StepsRun) -> dict[str, Any]:
+    """Learn all constants of a recipe; return the facts of `OUT/result.json`.
+
+    A number of steps is learned from nothing, so that a training which goes on after one of them
+    ends as one that was never interrupted.
+
+    Raises:
+        ValueError: a folder that is not to be replaced, or a checkpoint of another recipe.
+    """
+    open_run(run.out, resume=run.resume, force=run.force)
+    tensors, seconds = _known(run) if run.resume else ({}, 0.0)
+    posed = problems(run.recipe, "training")
+    for n, steps in enumerate(run.recipe.steps):
+        if f"{steps}.full" not in tensors:
+            began = time.monotonic()
+            model = learn(run.recipe, steps, posed, _ticker(run, n))
+            seconds += time.monotonic() - began
+            tensors |= {f"{steps}.{key}": value.detach() for key, value in model.named_parameters()}
+            facts = {"recipe": run.recipe.model_dump(mode="json"), "seconds": seconds}
+            write_checkpoint(run.out / CHECKPOINT, Checkpoint(tensors, facts))
+    recipe = run.recipe
+    models = {steps: _model(recipe, steps, tensors) for steps in recipe.steps}
+    facts = {
+        "command": run.command,
+        "recipe": recipe.model_dump(mode="json"),
+        "seconds": seconds,
+        "figures": {name: _figures(recipe, models, name) for name in ("validation", "test")},
+    } | provenance(_CPU)
+    with whole_file(run.out / RESULT, force=True) as path:
+        path.write_text(json.dumps(facts, indent=1), encoding="utf-8")
+    made = {steps: model.solver() for steps, model in models.items()}
+    card = LearnedCard(recipe.solver, recipe.link, recipe.darkest, recipe.name, facts)
+    write_learned(run.out / WEIGHTS, Learned(made, card))
+    return facts
+
+
+def _known(run: StepsRun) -> tuple[dict[str, Tensor], float]:
+    """Return what a training that was interrupted has learned."""
+    found = read_checkpoint(run.out / CHECKPOINT)
+    then, now = found.facts["recipe"], run.recipe.model_dump(mode="json")
+    for key, value in now.items():
+        if then.get(key) != value:
+            raise ValueError(
+                f"{run.out} was trained with another recipe: '{key}' was {then.get(key)}, now it "
+                f"is {value}; give another --out"
+            )
+    return found.tensors, found.facts["seconds"]
+
+
+def _model(recipe: StepsRecipe, steps: int, tensors: dict[str, Tensor]) -> LearnedSteps:
+    model = LearnedSteps(steps, recipe.coarse)
+    model.load_state_dict({key: tensors[f"{steps}.{key}"] for key in ("full", "coarse")})
+    return model
+
+
+def _ticker(run: StepsRun, finished: int) -> Callable[[int], None]:
+    """Return what tells how far a training is; longer runs of steps take longer."""
+    recipe = run.recipe
+    work = [number + recipe.sweeps for number in recipe.steps]
+
+    def tick(done: int) -> None:
+        if run.tick is not None:
+            share = (sum(work[:finished]) + work[finished] * done / recipe.iterations) / sum(work)
+            run.tick(f"{recipe.name}, {recipe.steps[finished]} steps", int(100 * share))
+
+    return tick
+
+
+@torch.no_grad()
+def _figures(
+    recipe: StepsRecipe, models: dict[int, LearnedSteps], purpose: str
+) -> dict[str, dict[str, float]]:
+    """Return mean PSNR, by number of steps, beside as many and more of the direct solver."""
+    posed = problems(recipe, purpose)
+
+    def mean_psnr(layers: Callable[[Problem], Tensor]) -> float:
+        logs = [squares(problem, layers(problem)).log10().mean().item() for problem in posed]
+        return -10 * sum(logs) / len(logs)
+
+    direct = SOLVERS["fourier-admm"]
+    counts = sorted({*recipe.steps, 10}) if posed[0].link.is_sum else [1, 2, 3]
+    return {
+        "fast": {
+            str(steps): mean_psnr(lambda p, m=model: shown_by(recipe, m, p))
+            for steps, model in models.items()
+        },
+        "fourier-admm": {
+            str(n): mean_psnr(lambda p, n=n: solve(p, direct.make(p.link), iterations=n).layers)
+            for n in counts
+        },
+    }

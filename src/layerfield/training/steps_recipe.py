@@ -1,0 +1,89 @@
+"""How the steps of `fast` are trained, as it is written down."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from layerfield.display import Display
+from layerfield.display_spec import DisparitySpec
+from layerfield.toml_model import validated
+from layerfield.training.recipe import Count, Positive, Table, recipe_data
+
+
+class Grid(Table):
+    """A display to train on: as in a display file.
+
+    Args:
+        views: rows and columns of viewpoints.
+        disparity: of every layer, front to back, pixels per view step.
+    """
+
+    views: tuple[Count, Count]
+    disparity: tuple[float, ...]
+
+    def display(self, link: str) -> Display:
+        """Return the display with a link."""
+        facts = {"name": "trained on", "link": link, **self.model_dump()}
+        return Display(DisparitySpec.model_validate(facts))
+
+
+class StepsRecipe(Table):
+    """Everything that a training of learned steps depends on.
+
+    Args:
+        name: of the recipe and of its run.
+        description: one sentence.
+        solver: what is trained.
+        link: of the displays: light that adds up, or logarithms of light that multiplies.
+        steps: numbers of full steps; constants are learned for each by itself.
+        coarse: number of steps on large pixels.
+        sweeps: over layers that follow, before layers are judged.
+        darkest: darker light is taken for this before its logarithm.
+        displays: to train on.
+        scenes: of every display; size: their height and width, pixels.
+        stretch: range of their disparities, in units of the depth of the display.
+        gammas: the lowest and the highest exponent of their values.
+        iterations: of the optimiser, Adam, for every number of steps.
+        rate: the highest, which falls to 0 along half a cosine.
+        seed: of scenes.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    description: str = ""
+    solver: Literal["fast"]
+    link: Literal["additive", "multiplicative"]
+    steps: Annotated[tuple[Count, ...], Field(min_length=1)]
+    coarse: Annotated[int, Field(strict=True, ge=0)] = 6
+    sweeps: Annotated[int, Field(strict=True, ge=0)] = 0
+    darkest: Positive = 0.1
+    displays: Annotated[tuple[Grid, ...], Field(min_length=1)]
+    scenes: Count = 6
+    size: Annotated[int, Field(strict=True, ge=48)] = 96
+    stretch: tuple[Positive, Positive] = (0.6, 2.5)
+    gammas: tuple[Positive, Positive] = (1.0, 2.2)
+    iterations: Count = 300
+    rate: Positive = 0.02
+    seed: Annotated[int, Field(strict=True, ge=0, le=255)] = 0
+
+    @model_validator(mode="after")
+    def _lowest_first(self):
+        for name, (low, high) in (("stretch", self.stretch), ("gammas", self.gammas)):
+            if low > high:
+                raise ValueError(f"'{name}' is [{low:g}, {high:g}], expected the lower one first")
+        return self
+
+
+def read_steps_recipe(name: str | Path) -> StepsRecipe:
+    """Return the recipe of learned steps, by its name or from a TOML file.
+
+    Raises:
+        ValueError: no such recipe or file, or a file that is no recipe, with the key.
+    """
+    data, source = recipe_data(name)
+    return validated(StepsRecipe, data, source)
+
+
+def is_of_steps(name: str | Path) -> bool:
+    """Say whether a recipe is for learned steps: it names a solver, not a network."""
+    return "solver" in recipe_data(name)[0]

@@ -1,0 +1,236 @@
+"""The method `fast`: learned steps, their file, their training, and what they are worth."""
+
+import json
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import save_file
+from test_cli import run
+
+from layerfield import Display, Problem, procedural_light_field, reference, solve, synthesize
+from layerfield.display_spec import parse_spec
+from layerfield.fast import read_learned, shipped_steps, write_learned
+from layerfield.solvers.fourier_admm import FourierAdmm
+from layerfield.synthesizer import pose
+from layerfield.training.learned_steps import LearnedSteps
+from layerfield.training.records import CHECKPOINT, RESULT, WEIGHTS
+
+LINKS = ("additive", "multiplicative")
+TINY = """
+name = "tiny"
+solver = "fast"
+link = "additive"
+steps = [1, 2]
+coarse = 2
+displays = [
+    { views = [3, 3], disparity = [1.0, -1.0] },
+    { views = [1, 5], disparity = [1.2, 0.0, -0.7] },
+]
+scenes = 2
+size = 48
+iterations = 6
+"""
+
+
+def display(text: str) -> Display:
+    return Display(parse_spec(f'name = "d"\n{text}', "a test"))
+
+
+UNSEEN = {
+    "many views": 'link = "{}"\nviews = [7, 7]\ndisparity = [1.5, 0.5, -0.5, -1.5]',
+    "few views": 'link = "{}"\nviews = [3, 3]\ndisparity = [0.5, -0.5]',
+    "linear light": 'link = "{}"\nviews = [5, 5]\ndisparity = [1.2, 0.1, -0.9]\ntransfer = "srgb"',
+}
+
+
+@pytest.mark.parametrize("size", [(40, 57), (20, 21), (3, 64)])
+@pytest.mark.parametrize("steps", [1, 3])
+def test_the_fast_steps_are_those_of_the_formula(size, steps):
+    """What runs in place equals what is trained; small pictures go without coarse steps."""
+    torch.manual_seed(0)
+    model = LearnedSteps(steps, 3)
+    with torch.no_grad():
+        for rows in model.parameters():
+            rows.add_(torch.randn_like(rows), alpha=0.1)
+    problem = Problem.of(Display.load("additive-3"), torch.rand(25, 2, *size))
+    made = solve(problem, model.solver(), iterations=steps)
+    assert torch.allclose(made.layers, model(problem), atol=2e-5)
+
+
+def test_gradients_of_the_formula_are_right():
+    """Also through the resolvent, by the penalty, and through the band around the views."""
+    problem = Problem.of(Display.load("additive-3"), torch.rand(25, 1, 36, 40).double())
+    torch.manual_seed(0)
+    model = LearnedSteps(2, 2).double()
+
+    def loss() -> torch.Tensor:
+        seen = problem.projection.forward(model(problem).squeeze(-5))
+        return (seen - problem.target).square().mean().log()
+
+    loss().backward()
+    for rows in model.parameters():
+        for place in ((0, 0), (1, 0), (1, 1), (1, 2), (0, 3)):
+            slopes = []
+            with torch.no_grad():
+                for move in (1e-5, -2e-5):
+                    rows[place] += move
+                    slopes.append(loss())
+                rows[place] += 1e-5
+            assert rows.grad is not None
+            found = (slopes[0] - slopes[1]) / 2e-5
+            assert torch.isclose(found, rows.grad[place], rtol=1e-4, atol=1e-8)
+
+
+def test_more_steps_are_better_and_more_than_learned_go_on():
+    field = procedural_light_field(size=(96, 120), disparity_range=(-2, 2), seed=3)
+    shown = Display.load("additive-3")
+    problem = pose(field, shown)
+    errors = [
+        problem.mean_square_error(synthesize(field, shown, method="fast", iterations=n).layers)
+        for n in (0, 1, 2, 3, 4, 5, 6, 7, 9, 14)
+    ]
+    assert all(after < before for before, after in pairwise(errors))
+
+
+@pytest.mark.parametrize("kind", UNSEEN)
+def test_learned_steps_hold_on_displays_they_were_not_learned_on(kind):
+    """Three are as good as five of the direct solver."""
+    shown = display(UNSEEN[kind].format("additive"))
+    grid = shown.geometry.grid
+    assert grid is not None
+    field = procedural_light_field(grid=grid, size=(96, 120), disparity_range=(-2, 2), seed=5)
+    problem = pose(field, shown)
+    learned = synthesize(field, shown, method="fast", iterations=3).layers
+    direct = synthesize(field, shown, iterations=5).layers
+    assert problem.mean_square_error(learned) <= problem.mean_square_error(direct) * 1.005
+
+
+@pytest.mark.parametrize("kind", UNSEEN)
+def test_a_sweep_behind_learned_steps_is_as_good_as_behind_twenty_of_the_direct_solver(kind):
+    shown = display(UNSEEN[kind].format("multiplicative"))
+    grid = shown.geometry.grid
+    assert grid is not None
+    field = procedural_light_field(grid=grid, size=(96, 120), disparity_range=(-2, 2), seed=5)
+    problem = pose(field, shown)
+    learned = synthesize(field, shown, method="fast", iterations=1).layers
+    direct = synthesize(field, shown, iterations=1).layers
+    assert problem.mean_square_error(learned) <= problem.mean_square_error(direct) * 1.1
+
+
+def test_layers_to_start_from_are_taken_up():
+    field = procedural_light_field(size=(64, 64), seed=1)
+    shown = Display.load("additive-3")
+    known = synthesize(field, shown, iterations=30)
+    problem = pose(field, shown)
+    again = synthesize(field, shown, method="fast", iterations=2, init=known.layers)
+    assert problem.mean_square_error(again.layers) <= problem.mean_square_error(known.layers) * 1.01
+    twice = synthesize(field, shown, method="fast", iterations=2, init=again)
+    assert problem.mean_square_error(twice.layers) <= problem.mean_square_error(known.layers) * 1.01
+
+
+def test_what_does_not_serve_is_one_line():
+    field = procedural_light_field(size=(32, 32), seed=1)
+    with pytest.raises(ValueError, match="serves additive and multiplicative displays"):
+        synthesize(field, Display.load("polarisation-3"), method="fast")
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_the_steps_that_ship_are_small_and_say_what_they_are(link):
+    found = shipped_steps(link)
+    assert found.card.link == link
+    assert found.card.training["command"] == f"layerfield train fast-{link}"
+
+
+def test_a_file_of_learned_steps_is_read_as_it_was_written(tmp_path):
+    known = shipped_steps("additive")
+    write_learned(tmp_path / "a.safetensors", known)
+    again = read_learned(tmp_path / "a.safetensors")
+    assert again.card == known.card
+    for number, solver in known.steps.items():
+        for mine, theirs in zip(again.steps[number].full, solver.full, strict=True):
+            assert mine == theirs
+
+
+@pytest.mark.parametrize("what", ["nothing", "other", "text"])
+def test_a_file_that_holds_no_learned_steps_is_one_line(tmp_path, what):
+    path = tmp_path / "x.safetensors"
+    if what == "other":
+        save_file({"1.full": torch.zeros(1, 5)}, path)
+    if what == "text":
+        path.write_text("no tensors")
+    with pytest.raises(ValueError, match=r"there is no file|holds no learned steps"):
+        read_learned(path)
+
+
+def test_steps_are_trained_by_a_command_that_goes_on_where_it_was_stopped(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("tiny.toml").write_text(TINY)
+    done = run("train", "tiny.toml", "--out", "whole")
+    assert done.status == 0, done.err
+    assert "dB on test scenes" in done.out
+    facts = json.loads(Path("whole", RESULT).read_text())
+    assert set(facts["figures"]) == {"validation", "test"}
+    Path("first.toml").write_text(TINY.replace("[1, 2]", "[1]"))
+    assert run("train", "first.toml", "--out", "parts").status == 0
+    text = Path("parts", CHECKPOINT).read_bytes()
+    assert run("train", "tiny.toml", "--out", "parts", "--resume").status == 2  # another recipe
+    assert Path("parts", CHECKPOINT).read_bytes() == text
+    whole = read_learned(Path("whole", WEIGHTS))
+    Path("whole", WEIGHTS).unlink()
+    assert run("train", "tiny.toml", "--out", "whole", "--resume").status == 0
+    again = read_learned(Path("whole", WEIGHTS))
+    assert [again.steps[n].full for n in (1, 2)] == [whole.steps[n].full for n in (1, 2)]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (('solver = "fast"', 'solver = "slow"'), "solver"),
+        (("steps = [1, 2]", "steps = []"), "steps"),
+        (("scenes = 2", "scenes = 2\nwidth = 3"), "width"),
+        (("iterations = 6", "iterations = 6\ngammas = [2.0, 1.0]"), "lower one first"),
+    ],
+)
+def test_a_wrong_recipe_of_steps_is_one_line(tmp_path, monkeypatch, change, said):
+    monkeypatch.chdir(tmp_path)
+    Path("wrong.toml").write_text(TINY.replace(*change))
+    done = run("train", "wrong.toml")
+    assert (done.status, len(done.err.strip().splitlines())) == (2, 1)
+    assert said in done.err
+    assert not Path("runs").exists()
+
+
+@pytest.mark.parametrize("option", [("--epochs", "3"), ("--adapt", "views"), ("--device", "cuda")])
+def test_what_only_networks_know_is_refused(tmp_path, monkeypatch, option):
+    monkeypatch.chdir(tmp_path)
+    Path("tiny.toml").write_text(TINY)
+    done = run("train", "tiny.toml", *option)
+    assert (done.status, len(done.err.strip().splitlines())) == (2, 1)
+
+
+def test_the_direct_solver_behind_the_last_step_is_the_plain_one():
+    field = procedural_light_field(size=(48, 48), seed=2)
+    shown = Display.load("additive-3")
+    problem = pose(field, shown)
+    one = shipped_steps("additive").steps[1]
+    layers = solve(problem, one, iterations=1).layers
+    expected = solve(problem, FourierAdmm(), iterations=2, init=layers).layers
+    assert torch.allclose(solve(problem, one, iterations=3).layers, expected, atol=1e-6)
+
+
+def test_learned_steps_are_near_the_optimum_in_the_mean():
+    """Five are as good as ten direct iterations."""
+    shown, learned, direct = Display.load("additive-3"), 0.0, 0.0
+    for seed in range(4):
+        field = procedural_light_field(size=(96, 96), disparity_range=(-2, 2), seed=seed)
+        problem = pose(field, shown)
+        best = reference(problem).mean_square_error
+        for method, count in (("fast", 5), ("fourier-admm", 10)):
+            made = synthesize(field, shown, method=method, iterations=count).layers
+            excess = problem.mean_square_error(made) / best - 1
+            learned, direct = (
+                (learned + excess, direct) if method == "fast" else (learned, direct + excess)
+            )
+    assert learned <= direct * 1.2

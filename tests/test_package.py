@@ -62,7 +62,7 @@ def test_one_version_everywhere():
 def test_lower_rooms_do_not_import_higher_ones():
     """Data flows one way; a room is imported only by rooms listed after it."""
     order = [
-        "version", "nearest", "own_process", "toml_model", "geometry", "kept_views", "light_field",
+        "version", "nearest", "own_process", "memory", "toml_model", "geometry", "kept_views", "light_field",
         "projection", "back_projection", "warped_projection", "panel_projection", "frequencies",
         "gram", "display_constants", "links", "composition", "transfer", "panel_spec",
         "display_spec", "display", "panels", "solve", "between", "tone", "solvers", "panel_images",

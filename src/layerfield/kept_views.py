@@ -70,7 +70,8 @@ class KeptViews:
             return KeptViews(law(self.stored))
         codes = torch.arange(LARGEST[self.stored.dtype] + 1, device=self.stored.device)
         table = codes / LARGEST[self.stored.dtype] if self.table is None else self.table
-        return replace(self, table=law(table))
+        made = law(table)
+        return self if made is table else replace(self, table=made)
 
     def cut(self, rows: slice, columns: slice) -> "KeptViews":
         """Return a part of every view, which shares its memory with the whole."""

@@ -26,8 +26,8 @@ def quantise(
     layers: Float[Tensor, "*batch c y x"], bits: int, transfer: Transfer = NONE
 ) -> UInt[Tensor, "*batch c y x"]:
     """Round layers, light from 0 to 1, to the nearest codes of a panel."""
-    codes = (transfer.encode(layers) * largest_code(bits)).round().clamp(0, largest_code(bits))
-    return codes.to(_DTYPES[bits])
+    codes = transfer.encode(layers) * largest_code(bits)
+    return codes.round_().clamp_(0, largest_code(bits)).to(_DTYPES[bits])
 
 
 def dequantise(

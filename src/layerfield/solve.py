@@ -22,6 +22,7 @@ from layerfield.display_constants import coverage_of, gram_of
 from layerfield.gram import Gram
 from layerfield.kept_views import KeptViews
 from layerfield.links import Additive, Link
+from layerfield.memory import keep_large_blocks
 from layerfield.projection import Projection
 
 _SEED = 0  # of what makes subframes differ
@@ -256,6 +257,7 @@ def solve(
     """
     if iterations < 0:
         raise ValueError(f"found {iterations} iterations, expected 0 or more")
+    keep_large_blocks()
     clock = Clock(problem.device)
     records: list[Progress] = []
     with torch.no_grad(), clock:

@@ -17,6 +17,7 @@ from layerfield.between import with_eyes
 from layerfield.display import Display
 from layerfield.fast import FastMethod
 from layerfield.light_field import LightField
+from layerfield.memory import keep_large_blocks
 from layerfield.links import LINKS, Link
 from layerfield.methods import (
     ChainMethod,
@@ -218,6 +219,7 @@ def synthesize(
         ValueError: an unknown method, one that does not serve the display, or views that are not
             those of the display.
     """
+    keep_large_blocks()
     found = find_method(method)
     count = found.count(iterations)
     problem = pose(field, display, weights)

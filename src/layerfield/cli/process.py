@@ -12,6 +12,7 @@ from typing import NoReturn
 import typer
 
 from layerfield.cli.terminal import complain
+from layerfield.memory import keep_large_blocks
 
 _NO_MEMORY = re.compile("out of memory|allocate memory")  # of PyTorch's RuntimeErrors
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -43,6 +44,7 @@ def until_interrupted() -> Iterator[None]:
 
 
 def _prepare() -> None:
+    keep_large_blocks()
     for number in _SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:  # as under nohup
             signal.signal(number, _interrupt)

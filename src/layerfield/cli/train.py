@@ -42,7 +42,13 @@ def train_command(
 ) -> None:
     """Train a network or learned steps, or adapt a trained network to a light field."""
     if is_of_steps(recipe):
-        _refuse_for_steps(adapt=adapt, weights=weights, epochs=epochs, device=device)
+        _refuse_for_steps(
+            adapt=adapt,
+            weights=weights,
+            epochs=epochs,
+            device=None if device == "cpu" else device,
+            devices=None if devices == 1 else devices,
+        )
         _train_steps(read_steps_recipe(recipe), out, resume, force, _command(recipe, None, None))
         return
     if find_spec("lightning") is None:
@@ -82,7 +88,7 @@ def train_command(
 def _refuse_for_steps(**given: object) -> None:
     """Refuse what only networks know."""
     for name, value in given.items():
-        if value not in (None, "cpu"):
+        if value is not None:
             raise ValueError(
                 f"found --{name} {value}, but the recipe is of learned steps, which are trained "
                 "whole and on the processor; leave it out"

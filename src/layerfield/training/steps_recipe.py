@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from layerfield.display import Display
-from layerfield.display_spec import DisparitySpec
+from layerfield.display_spec import Depths, DisparitySpec
 from layerfield.toml_model import validated
 from layerfield.training.recipe import Count, Positive, Table, recipe_data
 
@@ -20,12 +20,18 @@ class Grid(Table):
     """
 
     views: tuple[Count, Count]
-    disparity: tuple[float, ...]
+    disparity: Depths
+
+    @model_validator(mode="after")
+    def _is_a_display(self):
+        self.display("additive")
+        return self
 
     def display(self, link: str) -> Display:
         """Return the display with a link."""
         facts = {"name": "trained on", "link": link, **self.model_dump()}
-        return Display(DisparitySpec.model_validate(facts))
+        rows, columns = self.views
+        return Display(validated(DisparitySpec, facts, f"{rows}x{columns} views"))
 
 
 class StepsRecipe(Table):
@@ -65,6 +71,12 @@ class StepsRecipe(Table):
     iterations: Count = 300
     rate: Positive = 0.02
     seed: Annotated[int, Field(strict=True, ge=0, le=255)] = 0
+
+    @model_validator(mode="after")
+    def _each_once(self):
+        if len(set(self.steps)) < len(self.steps):
+            raise ValueError(f"'steps' is {list(self.steps)}, expected every number once")
+        return self
 
     @model_validator(mode="after")
     def _lowest_first(self):

@@ -62,14 +62,15 @@ def test_one_version_everywhere():
 def test_lower_rooms_do_not_import_higher_ones():
     """Data flows one way; a room is imported only by rooms listed after it."""
     order = [
-        "version", "nearest", "own_process", "memory", "toml_model", "geometry", "kept_views", "light_field",
-        "projection", "back_projection", "warped_projection", "panel_projection", "frequencies",
-        "gram", "display_constants", "links", "composition", "transfer", "panel_spec",
-        "display_spec", "display", "panels", "solve", "between", "tone", "solvers", "panel_images",
-        "networks", "metrics", "provenance", "scenes", "io", "eyes", "animation", "plane_sweep",
-        "disparity", "weights", "methods", "fast", "synthesizer", "reference", "evaluate",
-        "remarks", "observers", "stored_result", "result", "spectrum", "design", "training",
-        "report", "bench", "viewer", "demo", "reproduction", "cli", "__main__",
+        "version", "nearest", "own_process", "memory", "toml_model", "geometry", "kept_views",
+        "light_field", "projection", "back_projection", "warped_projection", "panel_projection",
+        "frequencies", "gram", "display_constants", "links", "composition", "transfer",
+        "panel_spec", "display_spec", "display", "panels", "motion", "solve", "between", "tone",
+        "solvers", "panel_images", "networks", "metrics", "provenance", "scenes", "io", "eyes",
+        "animation", "plane_sweep", "disparity", "weights", "methods", "fast", "synthesizer",
+        "stream", "reference", "evaluate", "remarks", "observers", "stored_result", "result",
+        "spectrum", "design", "training", "report", "bench", "viewer", "demo", "reproduction",
+        "cli", "__main__",
     ]  # fmt: skip
     source = ROOT / "src" / "layerfield"
     for file in source.rglob("*.py"):

@@ -1,34 +1,35 @@
 """Where things went from one picture to the next: block matching, coarse to fine."""
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, grid_sample, interpolate, pad
 
-_COARSE = 4  # pixels of the fine grid to one of the coarse
-_COARSE_BLOCK, _FINE_BLOCK = 4, 8  # pixels of their own grid
-_COARSE_REACH, _FINE_REACH = 4, 3  # so that motion up to 19 px is found
-_STILL = 1e-6  # what a pixel of motion must bring; without detail, nothing moves
+BLOCK = 8  # pixels that move alike
+_ROUGH_BLOCK, _ROUGH_REACH = 4, 4  # pixels of a quarter of the size, so that 19 px are found
+_STRAY = 1e-3  # what a pixel of motion unlike that of most must bring; where all is even, none does
 
 
-def block_motion(
-    new: Float[Tensor, "plane y x"], old: Float[Tensor, "plane y x"]
-) -> Float[Tensor, "2 y x"]:
+def block_motion(new: Float[Tensor, "y x"], old: Float[Tensor, "y x"]) -> Float[Tensor, "2 y x"]:
     """Return m (x, y) such that new(p) is nearly old(p + m), constant over blocks of 8 pixels.
 
-    The mean square difference over 3x3 blocks, all planes together, is smallest; parabolas
-    through it give fractions of a pixel.
+    The mean square difference over 3x3 blocks is smallest: among 81 motions at a quarter of the
+    size, then among nine at half of it and nine at full size; a parabola gives fractions of a
+    pixel. Blocks without much detail move as most of the others do.
 
     Args:
-        new: planes of the later picture, values about 0 to 1.
-        old: the same planes of the earlier one.
+        new: the later picture, values about 0 to 1.
+        old: the earlier one.
     """
-    small = [avg_pool2d(x, _COARSE, ceil_mode=True, count_include_pad=False) for x in (new, old)]
-    zero = new.new_zeros(2, *_blocks(small[0], _COARSE_BLOCK))
-    rough = _search(small[0], small[1], zero, _COARSE_BLOCK, _COARSE_REACH).round() * _COARSE
-    centre = interpolate(rough[None], size=_blocks(new, _FINE_BLOCK))[0]
-    fine = _search(new, old, centre, _FINE_BLOCK, _FINE_REACH)
-    return _spread(fine, _FINE_BLOCK)[:, : new.shape[-2], : new.shape[-1]]
+    half_new, half_old = _halved(new), _halved(old)
+    quarter = _halved(half_new)
+    still = torch.zeros(2, *_blocks(quarter, _ROUGH_BLOCK), dtype=torch.long, device=new.device)
+    motion = _found(quarter, _halved(half_old), still, _ROUGH_BLOCK, _ROUGH_REACH)[0]
+    centre = _doubled(motion, _blocks(half_new, BLOCK))
+    motion = _found(half_new, half_old, centre, BLOCK, 1)[0]
+    whole, fraction = _found(new, old, _doubled(motion, _blocks(new, BLOCK)), BLOCK, 1)
+    motion = (whole + fraction).repeat_interleave(BLOCK, -2).repeat_interleave(BLOCK, -1)
+    return motion[:, : new.shape[-2], : new.shape[-1]]
 
 
 def moved(
@@ -36,47 +37,73 @@ def moved(
 ) -> Float[Tensor, "*batch y x"]:
     """Return values(p + m), interpolated linearly; 0 where p + m lies outside the picture."""
     height, width = values.shape[-2:]
-    x, y = _places(motion)
+    x = torch.arange(width, device=motion.device) + motion[0]
+    y = torch.arange(height, device=motion.device)[:, None] + motion[1]
     grid = torch.stack([2 * x / max(width - 1, 1) - 1, 2 * y / max(height - 1, 1) - 1], dim=-1)
     planes = values.reshape(1, -1, height, width)
     found = grid_sample(planes, grid[None], padding_mode="border", align_corners=True)
-    return (found * _inside(x, y, height, width)).reshape(values.shape)
+    inside = (x >= -0.5) & (x <= width - 0.5) & (y >= -0.5) & (y <= height - 0.5)
+    return (found * inside).reshape(values.shape)
 
 
-def _places(motion: Float[Tensor, "2 y x"]) -> tuple[Tensor, Tensor]:
-    y, x = (torch.arange(n, device=motion.device) for n in motion.shape[-2:])
-    return x[None, :] + motion[0], y[:, None] + motion[1]
+def _halved(picture: Float[Tensor, "y x"]) -> Float[Tensor, "hy hx"]:
+    return avg_pool2d(picture[None], 2, ceil_mode=True, count_include_pad=False)[0]
 
 
-def _inside(x: Tensor, y: Tensor, height: int, width: int) -> Bool[Tensor, "y x"]:
-    return (x >= -0.5) & (x <= width - 0.5) & (y >= -0.5) & (y <= height - 0.5)
+def _doubled(motion: Int[Tensor, "2 by bx"], blocks: tuple[int, int]) -> Int[Tensor, "2 cy cx"]:
+    return 2 * interpolate(motion[None].float(), size=blocks)[0].long()
 
 
-def _search(
-    new: Tensor, old: Tensor, centre: Float[Tensor, "2 by bx"], block: int, reach: int
-) -> Float[Tensor, "2 by bx"]:
-    """Return the best motion of every block within `reach` pixels of a first guess."""
-    steps = range(-reach, reach + 1)
-    costs = torch.stack([_cost(new, old, centre, block, (x, y)) for y in steps for x in steps])
-    best, side = costs.argmin(dim=0), len(steps)
+def _found(
+    new: Tensor, old: Tensor, centre: Int[Tensor, "2 by bx"], block: int, reach: int
+) -> tuple[Int[Tensor, "2 by bx"], Float[Tensor, "2 by bx"]]:
+    """Return the best motion of every block within `reach` pixels of a first guess.
+
+    Returns:
+        Whole pixels, and the fraction to be added.
+    """
+    side, costs = 2 * reach + 1, _costs(new, old, centre, block, reach)
+    steps = torch.arange(-reach, reach + 1, device=centre.device)
+    tried = (
+        centre[:, None]
+        + torch.stack([steps.repeat(side), steps.repeat_interleave(side)])[..., None, None]
+    )
+    strays = (tried - _most(tried, costs)[:, None, None, None]).abs().sum(dim=0)
+    costs = costs + _STRAY * strays
+    best = costs.argmin(dim=0)
     row, column = best // side, best % side
-    fraction_x = _fraction(costs, best, 1, (column > 0) & (column < side - 1))
-    fraction_y = _fraction(costs, best, side, (row > 0) & (row < side - 1))
-    return centre + torch.stack([column - reach + fraction_x, row - reach + fraction_y])
+    across = _fraction(costs, best, 1, (column > 0) & (column < side - 1))
+    down = _fraction(costs, best, side, (row > 0) & (row < side - 1))
+    chosen = tried.gather(1, best.expand(2, 1, *best.shape))[:, 0]
+    return chosen, torch.stack([across, down])
 
 
-def _cost(
-    new: Tensor, old: Tensor, centre: Tensor, block: int, step: tuple[int, int]
-) -> Float[Tensor, "by bx"]:
-    """Return the mean square difference of every block and its neighbours for one motion."""
-    (height, width), (rows, columns) = new.shape[-2:], centre.shape[-2:]
-    whole = pad(new[None], (0, columns * block - width, 0, rows * block - height), mode="replicate")
-    x, y = _places(_spread(centre, block))
-    across = (x + step[0]).long().clamp(0, width - 1)
-    down = (y + step[1]).long().clamp(0, height - 1)
-    error = (whole[0] - old[:, down, across]).square().mean(dim=0, keepdim=True)
-    mean = avg_pool2d(avg_pool2d(error, block), 3, 1, 1, count_include_pad=False)[0]
-    return mean + _STILL * (abs(step[0]) + abs(step[1]))
+def _costs(
+    new: Tensor, old: Tensor, centre: Tensor, block: int, reach: int
+) -> Float[Tensor, "step by bx"]:
+    """Return the mean square difference of every block and its neighbours for all motions."""
+    (height, width), (rows, columns) = new.shape, centre.shape[-2:]
+    fill = (0, columns * block - width, 0, rows * block - height)
+    tiles = pad(new[None], fill, mode="replicate")[0]
+    tiles = tiles.unflatten(1, (-1, block)).unflatten(0, (-1, block)).transpose(1, 2)
+    span = torch.arange(-reach, block + reach, device=centre.device)
+    x = centre[0] + block * torch.arange(columns, device=centre.device)
+    y = centre[1] + block * torch.arange(rows, device=centre.device)[:, None]
+    x = (x[..., None] + span).clamp(0, width - 1)
+    y = (y[..., None] + span).clamp(0, height - 1)
+    windows = old[y[..., :, None], x[..., None, :]].unfold(2, block, 1).unfold(3, block, 1)
+    errors = (windows - tiles[:, :, None, None]).square_().mean(dim=(-2, -1))
+    by_step = errors.flatten(2).movedim(-1, 0)
+    return avg_pool2d(by_step, 3, 1, 1, count_include_pad=False)
+
+
+def _most(tried: Int[Tensor, "2 step by bx"], costs: Tensor) -> Int[Tensor, " 2"]:
+    """Return the motion of most of the blocks that have more detail than others."""
+    best, spread = costs.argmin(dim=0), costs.amax(dim=0) - costs.amin(dim=0)
+    chosen = tried.gather(1, best.expand(2, 1, *best.shape))[:, 0]
+    voting = chosen[:, spread >= spread.mean()]
+    found, counts = voting.unique(dim=1, return_counts=True)
+    return found[:, counts.argmax()]
 
 
 def _fraction(costs: Tensor, best: Tensor, stride: int, inside: Tensor) -> Tensor:
@@ -90,9 +117,5 @@ def _fraction(costs: Tensor, best: Tensor, stride: int, inside: Tensor) -> Tenso
     return torch.where(inside & (bend > 1e-9), lowest, 0)
 
 
-def _blocks(planes: Tensor, block: int) -> tuple[int, int]:
-    return -(-planes.shape[-2] // block), -(-planes.shape[-1] // block)
-
-
-def _spread(values: Tensor, block: int) -> Tensor:
-    return values.repeat_interleave(block, -2).repeat_interleave(block, -1)
+def _blocks(picture: Tensor, block: int) -> tuple[int, int]:
+    return -(-picture.shape[-2] // block), -(-picture.shape[-1] // block)

@@ -5,9 +5,10 @@ does, and the share of it that follows from the views at once is that of the new
 
     s_new(p) = e_new(p) + (s - e)(p + m)
 
-with e the balanced start, every layer the mean of what its viewers see, and m the motion of e from
-frame to frame, found by block matching. What comes into the picture starts from e_new alone.
-Without m the dual holds pixels at bounds that have moved on, and a start can be worse than none.
+with e the balanced start, every layer the mean of what its viewers see, and m the motion of what
+the middle of the viewers sees, found by block matching. What comes into the picture starts from
+e_new alone. Without m the dual holds pixels at bounds that have moved on, and a start can be worse
+than none. Where light adds up, `fast` has steps that were learned for such a start.
 Where the direct solver makes the start of every run and sweeps follow (links that are no sum),
 that start is better than moved layers: each frame has its own, and fewer sweeps.
 """
@@ -18,18 +19,23 @@ from dataclasses import dataclass, replace
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn.functional import pad
 
 from layerfield.display import Display
+from layerfield.fast import FastMethod, warm_steps
 from layerfield.light_field import LightField
 from layerfield.methods import Method, RunOptions, SolverMethod, ToneMethod
 from layerfield.motion import block_motion, moved
-from layerfield.solve import Clock, Problem, Solution
+from layerfield.solve import Clock, Problem, Solution, Solver
 from layerfield.solvers.fourier_admm import AdmmState
 from layerfield.solvers.fourier_start import FourierStart
+from layerfield.solvers.learned_admm import LearnedState
 from layerfield.solvers.nearest_shifts import NearestShifts
+from layerfield.solvers.warm_admm import WarmAdmm, moved_start
 from layerfield.synthesizer import find_method, pose
 
 WARM_ITERATIONS = 3
+_FIRST = 10  # iterations at least, where later frames live on what is made
 _CUT = 0.3  # share of the variance of a frame that the one before, moved, does not explain
 _DARKEST = 1e-3  # layers darker than this move as if they were this bright
 
@@ -38,6 +44,7 @@ _DARKEST = 1e-3  # layers darker than this move as if they were this bright
 class _Frame:
     """A frame that was solved, and what the next one needs of it."""
 
+    picture: Float[Tensor, "ly lx"]
     even: Float[Tensor, "1 layer c ly lx"]
     solution: Solution
 
@@ -46,22 +53,23 @@ def synthesize_frames(
     fields: Iterable[LightField],
     display: Display,
     *,
-    method: str = "fourier-admm",
+    method: str = "fast",
     iterations: int = WARM_ITERATIONS,
     weights: Sequence[float] | None = None,
 ) -> Iterator[Solution]:
     """Make the layers of one frame after the other, each as soon as its light field is there.
 
-    The first frame, and the first after a cut, take the iterations that the method makes of
-    itself; networks, and what follows them, start anew in every frame. No more than the frame
-    before is kept. `Solution.details` says what a frame started from: "start" is "cold", "cut" or
-    "moved"; "unexplained" is the share of the variance of a frame that the moved one before lacks.
+    The first frame, and the first after a cut, take the iterations that the method makes of itself,
+    ten if those are fewer; networks, and what follows them, start anew in every frame. No more than
+    the frame before is kept. `Solution.details` says what a frame started from: "start" is "cold",
+    "cut" or "moved"; "unexplained" is the share of the variance of a frame that the moved one
+    before lacks.
 
     Args:
         fields: the frames, all of one size.
         display: what shows them.
         method: one of `METHODS`, a weight file, or NETWORK+SOLVER.
-        iterations: of every frame that has one before.
+        iterations: of every frame that has one before; those of `fast` are learned up to four.
         weights: how much each view counts, at least 0; all alike if not given. For solvers.
 
     Raises:
@@ -80,7 +88,7 @@ def _frames(
 ) -> Iterator[Solution]:
     before, shape = None, None
     for field in fields:
-        shape = shape or field.views.shape
+        shape = shape or field.stored.shape
         _refuse_other_shape(field, shape)
         problem = pose(field, display, options.weights)
         if isinstance(method, SolverMethod):
@@ -92,14 +100,14 @@ def _frames(
 
 
 def _refuse_other_shape(field: LightField, shape: tuple[int, ...]) -> None:
-    if field.views.dim() != 4:
+    if field.stored.dim() != 4:
         raise ValueError(
-            f"'{field.name}' is a batch of shape {tuple(field.views.shape)}, expected one light "
+            f"'{field.name}' is a batch of shape {tuple(field.stored.shape)}, expected one light "
             "field [view, channel, y, x] a frame"
         )
-    if field.views.shape != shape:
+    if field.stored.shape != shape:
         raise ValueError(
-            f"'{field.name}' has views of shape {tuple(field.views.shape)}, the first frame had "
+            f"'{field.name}' has views of shape {tuple(field.stored.shape)}, the first frame had "
             f"{tuple(shape)}; start another video where the size changes"
         )
 
@@ -111,27 +119,45 @@ def _next_frame(
     method: SolverMethod,
     options: RunOptions,
 ) -> _Frame:
-    clock, start, share, follows = Clock(problem.target.device), None, None, False
+    clock, start, details = Clock(problem.device), None, {}
+    moves = not _starts_itself(method, display)
+    made, count = method, max(method.count(None), _FIRST if moves else 0)
     with torch.no_grad(), clock:
-        even = problem.in_sum_domain().even_start()
+        picture, even = seen_from_the_middle(problem), _summed(problem).even_start()
         if before is not None:
-            motion = block_motion(_grey(even), _grey(before.even))
-            share = _unexplained(even, before.even, motion)
-            follows = share <= _CUT
-            if follows and not _starts_itself(method, before):
-                start = _started(before, even, motion, problem)
-    made = options.iterations if follows else method.count(None)
-    run = method.run(problem, display, replace(options, init=start, iterations=made))
-    details = {} if share is None else {"unexplained": share}
-    kind = "moved" if start is not None else "cold" if follows or before is None else "cut"
+            motion = block_motion(picture, before.picture)
+            details["unexplained"] = _unexplained(picture, before.picture, motion)
+            if details["unexplained"] <= _CUT:
+                count = options.iterations
+                if moves:
+                    made = _warm(method, display, count)
+                    start = _started(before, problem, even, motion, made.make(display.link))
+    run = made.run(problem, display, replace(options, init=start, iterations=count))
+    cut = details.get("unexplained", 0.0) > _CUT
+    details["start"] = "cut" if cut else "cold" if start is None else "moved"
     timed = replace(run, seconds=run.seconds + clock.seconds)
-    return _Frame(even, _noted(timed, problem, start=kind, **details))
+    return _Frame(picture, even, _noted(timed, problem, **details))
 
 
-def _starts_itself(method: SolverMethod, before: _Frame) -> bool:
+def _starts_itself(method: SolverMethod, display: Display) -> bool:
     """Whether the direct solver makes the start of every run, before sweeps."""
-    solver = before.solution.solver
+    if isinstance(method, FastMethod):
+        return not display.link.is_sum
+    made = method.make if display.geometry.is_regular else method.apart
+    solver = made(display.link) if made is not None else None
     return isinstance(method, ToneMethod) or isinstance(solver, FourierStart | NearestShifts)
+
+
+def _summed(problem: Problem) -> Problem:
+    return problem if problem.link.is_sum else problem.in_sum_domain()
+
+
+def _warm(method: SolverMethod, display: Display, count: int) -> SolverMethod:
+    """Return what makes the frames that have one before."""
+    if not isinstance(method, FastMethod):
+        return method
+    steps = warm_steps(max(count, 1))
+    return SolverMethod(method.name, method.summary, count, method.links, lambda _: steps)
 
 
 def _noted(solution: Solution, problem: Problem, **details: float | str) -> Solution:
@@ -139,31 +165,35 @@ def _noted(solution: Solution, problem: Problem, **details: float | str) -> Solu
     return replace(solution, problem=solution.problem or problem, details=noted)
 
 
-def _grey(even: Float[Tensor, "1 layer c ly lx"]) -> Float[Tensor, "layer ly lx"]:
-    """All layers, as bright as the views: each is sharp where things are near it."""
-    return even[0].mean(dim=1) * even.shape[1]
+def seen_from_the_middle(problem: Problem) -> Float[Tensor, "*batch ly lx"]:
+    """Return what the middle of the viewers sees, grey, continued over the margin of layers."""
+    reach = [sum(abs(x) + abs(y) for x, y in paths) for paths in problem.projection.shifts]
+    middle = problem.light(reach.index(min(reach))).mean(dim=-3)
+    my, mx = problem.projection.margin
+    planes = middle.reshape(-1, *middle.shape[-2:])
+    whole = pad(planes, (mx, mx, my, my), mode="replicate")
+    return whole.reshape(*middle.shape[:-2], *whole.shape[-2:])
 
 
-def _unexplained(even: Tensor, old: Tensor, motion: Tensor) -> float:
-    """Return the variance of what motion leaves over the variance of the frame."""
-    left = _grey(even) - moved(_grey(old), motion)
-    seen = moved(torch.ones_like(left), motion) > 0
-    spread = _grey(even) - _grey(even).mean(dim=(-2, -1), keepdim=True)
-    return (left[seen].square().mean() / spread.square().mean().clamp(min=1e-8)).item()
+def _unexplained(new: Tensor, old: Tensor, motion: Tensor) -> float:
+    """Return the variance of what motion leaves over the variance of the picture."""
+    left, seen = new - moved(old, motion), moved(torch.ones_like(old), motion) > 0
+    return (left[seen].square().mean() / new.var().clamp(min=1e-8)).item()
 
 
 def _started(
-    before: _Frame, even: Tensor, motion: Tensor, problem: Problem
+    before: _Frame, problem: Problem, even: Tensor, motion: Tensor, solver: Solver
 ) -> Solution | Float[Tensor, "subframe layer c ly lx"]:
     """Return what the next frame starts from: a state of the direct solver, otherwise layers."""
-    state = before.solution.state
-    if isinstance(state, AdmmState):
-        gram = problem.gram
-        shadow = even + moved(gram.from_torus(state.shadow) - before.even, motion)
-        return replace(before.solution, state=replace(state, shadow=gram.to_torus(shadow)))
-    link = problem.link
-    sums = _to_sum(before.solution.layers, problem) - before.even
-    return link.from_sum(even + moved(sums, motion)).clamp(*problem.bounds)
+    gram, state, solution = problem.gram, before.solution.state, before.solution
+    if isinstance(state, LearnedState | AdmmState):
+        shadow = moved_start(even, gram.from_torus(state.shadow), before.even, motion)
+        padded = gram.to_torus(shadow)
+        warm = isinstance(solver, WarmAdmm)
+        known = LearnedState(padded) if warm else replace(state, shadow=padded)
+        return replace(solution, solver=solver, state=known)
+    start = moved_start(even, _to_sum(solution.layers, problem), before.even, motion)
+    return problem.link.from_sum(start).clamp(*problem.bounds)
 
 
 def _to_sum(layers: Tensor, problem: Problem) -> Tensor:

@@ -17,8 +17,8 @@ from layerfield.between import with_eyes
 from layerfield.display import Display
 from layerfield.fast import FastMethod
 from layerfield.light_field import LightField
-from layerfield.memory import keep_large_blocks
 from layerfield.links import LINKS, Link
+from layerfield.memory import keep_large_blocks
 from layerfield.methods import (
     ChainMethod,
     Method,

@@ -35,7 +35,7 @@ from layerfield.solvers.warm_admm import WarmAdmm, moved_start
 from layerfield.synthesizer import find_method, pose
 
 WARM_ITERATIONS = 3
-_FIRST = 10  # iterations at least, where later frames live on what is made
+_FIRST = 20  # iterations at least, where later frames live on what is made
 _CUT = 0.3  # share of the variance of a frame that the one before, moved, does not explain
 _DARKEST = 1e-3  # layers darker than this move as if they were this bright
 
@@ -60,10 +60,10 @@ def synthesize_frames(
     """Make the layers of one frame after the other, each as soon as its light field is there.
 
     The first frame, and the first after a cut, take the iterations that the method makes of itself,
-    ten if those are fewer; networks, and what follows them, start anew in every frame. No more than
-    the frame before is kept. `Solution.details` says what a frame started from: "start" is "cold",
-    "cut" or "moved"; "unexplained" is the share of the variance of a frame that the moved one
-    before lacks.
+    twenty if those are fewer; networks, and what follows them, start anew in every frame. No more
+    than the frame before is kept. `Solution.details` says what a frame started from: "start" is
+    "cold", "cut" or "moved"; "unexplained" is the share of the variance of a frame that the moved
+    one before lacks.
 
     Args:
         fields: the frames, all of one size.

@@ -4,8 +4,8 @@
 
 Frames of 96x256 on a 1x5 display at disparities 1, 0, -1: panned crops of a wide scene, a camera
 that moves sideways, things that go their own ways, noise, a cut, a fence that moves by half of its
-period; with --car, windows of 1x5 that slide over the 1x25 views of that light field. Every
-other frame from the sixth on is judged.
+period; with --car, "car" is the first eleven windows of 1x5 that slide over the 1x25 views of that
+light field. Every other frame from the sixth on is judged, two of the car.
 """
 
 import argparse
@@ -41,21 +41,14 @@ GRID, SIZE, FRAMES, SETTLED = (1, 5), (96, 256), 14, 5
 LARGE = (480, 640)  # where the parts of a frame are timed
 # Frames from one that is judged to the next: two, but for the cut, at frame 8, and what is large.
 EVERY = {"cut": 8, "car": 5}
-# Where light is multiplied, the best that is known takes minutes a frame: two videos tell enough.
-MULTIPLIED = ("pan 3 px", "travel 1 view")
-WARM = {"additive": {"fast": (3, 4), "fourier-admm": (3,)}, "multiplicative": {"fast": (1, 2)}}
-COLD = {"additive": {"fast": (3, 4, 5, 6)}, "multiplicative": {"fast": (1, 2)}}
-
-
-def display(link: str) -> Display:
-    return Display(
-        DisparitySpec.model_validate(
-            {"name": link, "link": link, "disparity": (1.0, 0.0, -1.0), "views": GRID}
-        )
+WARM = {"fast": (3, 4), "fourier-admm": (3,)}
+COLD = {"fast": (3, 4, 5, 6)}
+SHOWN = Display(
+    DisparitySpec.model_validate(
+        {"name": "row", "link": "additive", "disparity": (1.0, 0.0, -1.0), "views": GRID}
     )
-
-
-GEOMETRY = display("additive").geometry
+)
+GEOMETRY = SHOWN.geometry
 
 
 def pan(x: int, y: int, seed: int) -> Tensor:
@@ -115,7 +108,7 @@ def fields(views: Tensor) -> list[LightField]:
 
 def car(folder: Path) -> list[LightField]:
     stored = load_light_field(folder).stored
-    return [LightField(stored[i : i + 5], GRID) for i in range(len(stored) - 4)]
+    return [LightField(stored[i : i + 5], GRID) for i in range(11)]
 
 
 @dataclass(frozen=True)
@@ -164,11 +157,10 @@ def summary(rows: list[tuple[float, float]]) -> dict:
 
 
 def figures(judged: Judged) -> dict:
-    link = judged.shown.link.name
     found = {
         f"{kind} {method}:{count}": getattr(judged, kind)(method, count)
         for kind, methods in (("warm", WARM), ("cold", COLD))
-        for method, counts in methods[link].items()
+        for method, counts in methods.items()
         for count in counts
     }
     return {"frames": list(judged.frames), "size": judged.fields[0].size, "runs": found}
@@ -206,9 +198,9 @@ def told(name: str, made: dict) -> str:
 
 def main(out: Path, names: list[str], car_folder: Path | None) -> None:
     torch.set_num_threads(1)
-    parts = {name: lambda name=name: fields(VIDEOS[name]()) for name in names or VIDEOS}
+    parts = {name: lambda name=name: fields(VIDEOS[name]()) for name in VIDEOS}
     parts |= {"car": lambda: car(car_folder)} if car_folder else {}
-    found: dict[str, dict[str, dict]] = {"additive": {}, "multiplicative": {}}
+    found: dict[str, dict] = {}
     record = {
         "command": " ".join(
             [
@@ -224,16 +216,12 @@ def main(out: Path, names: list[str], car_folder: Path | None) -> None:
         "videos": found,
     }
     large = panned(GEOMETRY, (0, 0), 1, size=LARGE, seed=11)
-    record["seconds"] = {"size": LARGE} | share_of_a_step(display("additive"), fields(large)[0])
-    for link, of_link in found.items():
-        shown = display(link)
-        for name, make in parts.items():
-            if link == "multiplicative" and name not in MULTIPLIED:
-                continue
-            judged = Judged.of(make(), shown, EVERY.get(name, 2))
-            of_link[name] = figures(judged)
-            print(told(f"{name}, {link}", of_link[name]), flush=True)
-            out.write_text(json.dumps(record, indent=1) + "\n", "utf-8")
+    record["seconds"] = {"size": LARGE} | share_of_a_step(SHOWN, fields(large)[0])
+    for name in names or parts:
+        judged = Judged.of(parts[name](), SHOWN, EVERY.get(name, 2))
+        found[name] = figures(judged)
+        print(told(name, found[name]), flush=True)
+        out.write_text(json.dumps(record, indent=1) + "\n", "utf-8")
 
 
 if __name__ == "__main__":

@@ -186,7 +186,7 @@ def _started(
 ) -> Solution | Float[Tensor, "subframe layer c ly lx"]:
     """Return what the next frame starts from: a state of the direct solver, otherwise layers."""
     gram, state, solution = problem.gram, before.solution.state, before.solution
-    if isinstance(state, LearnedState | AdmmState):
+    if type(state) in (LearnedState, AdmmState):  # that of tiles is on a torus of its own
         shadow = moved_start(even, gram.from_torus(state.shadow), before.even, motion)
         padded = gram.to_torus(shadow)
         warm = isinstance(solver, WarmAdmm)

@@ -227,17 +227,14 @@ def test_the_direct_solver_behind_the_last_step_is_the_plain_one():
     assert torch.allclose(solve(problem, one, iterations=3).layers, expected, atol=1e-6)
 
 
-def test_learned_steps_are_near_the_optimum_in_the_mean():
-    """Five are as good as ten direct iterations."""
-    shown, learned, direct = Display.load("additive-3"), 0.0, 0.0
+def test_six_learned_steps_are_as_good_as_ten_of_the_direct_solver():
+    """In the mean of a few scenes."""
+    shown, errors = Display.load("additive-3"), {"fast": 0.0, "fourier-admm": 0.0}
     for seed in range(4):
         field = procedural_light_field(size=(96, 96), disparity_range=(-2, 2), seed=seed)
         problem = pose(field, shown)
         best = reference(problem).mean_square_error
-        for method, count in (("fast", 5), ("fourier-admm", 10)):
+        for method, count in (("fast", 6), ("fourier-admm", 10)):
             made = synthesize(field, shown, method=method, iterations=count).layers
-            excess = problem.mean_square_error(made) / best - 1
-            learned, direct = (
-                (learned + excess, direct) if method == "fast" else (learned, direct + excess)
-            )
-    assert learned <= direct * 1.2
+            errors[method] += problem.mean_square_error(made) / best - 1
+    assert errors["fast"] <= errors["fourier-admm"]

@@ -46,6 +46,7 @@ def test_public_names():
         "solve",
         "ssim",
         "synthesize",
+        "synthesize_frames",
         "__version__",
     ]
     for name in layerfield.__all__:
@@ -64,11 +65,12 @@ def test_lower_rooms_do_not_import_higher_ones():
         "version", "nearest", "own_process", "memory", "toml_model", "geometry", "kept_views",
         "light_field", "projection", "back_projection", "warped_projection", "panel_projection",
         "frequencies", "gram", "display_constants", "links", "composition", "transfer",
-        "panel_spec", "display_spec", "display", "panels", "solve", "between", "tone", "solvers",
-        "panel_images", "networks", "metrics", "provenance", "scenes", "io", "eyes", "animation",
-        "plane_sweep", "disparity", "weights", "methods", "fast", "synthesizer", "reference",
-        "evaluate", "remarks", "observers", "stored_result", "result", "spectrum", "design",
-        "training", "report", "bench", "viewer", "demo", "reproduction", "cli", "__main__",
+        "panel_spec", "display_spec", "display", "panels", "motion", "solve", "between", "tone",
+        "solvers", "panel_images", "networks", "metrics", "provenance", "scenes", "io", "eyes",
+        "animation", "plane_sweep", "disparity", "weights", "methods", "fast", "synthesizer",
+        "stream", "reference", "evaluate", "remarks", "observers", "stored_result", "result",
+        "spectrum", "design", "training", "report", "bench", "viewer", "demo", "reproduction",
+        "cli", "__main__",
     ]  # fmt: skip
     source = ROOT / "src" / "layerfield"
     for file in source.rglob("*.py"):

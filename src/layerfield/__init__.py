@@ -23,6 +23,7 @@ from layerfield.metrics import excess, layer_figures, psnr, psnr_by_view, ssim
 from layerfield.reference import Reference, reference
 from layerfield.scenes import procedural_light_field
 from layerfield.solve import Problem, Solution, solve
+from layerfield.stream import synthesize_frames
 from layerfield.synthesizer import METHODS, synthesize
 from layerfield.version import __version__
 
@@ -50,4 +51,5 @@ __all__ = [
     "solve",
     "ssim",
     "synthesize",
+    "synthesize_frames",
 ]

@@ -24,6 +24,7 @@ from layerfield.methods import RunOptions, SolverMethod
 from layerfield.solve import Problem, Solution
 from layerfield.solvers.fourier_start import FourierStart
 from layerfield.solvers.learned_admm import Constants, LearnedAdmm
+from layerfield.solvers.warm_admm import WarmAdmm
 from layerfield.weights import TRAINED, WEIGHT_SUFFIX
 
 _KEY = "layerfield"  # of the metadata
@@ -100,9 +101,18 @@ def read_learned(path: Path) -> Learned:
 
 
 @lru_cache
-def shipped_steps(link: str) -> Learned:
-    """Return the learned steps that come with the package."""
-    return read_learned(TRAINED / f"fast-{link}{WEIGHT_SUFFIX}")
+def shipped_steps(name: str) -> Learned:
+    """Return the learned steps that come with the package.
+
+    Args:
+        name: the link; or `additive-warm`, see `warm_steps`.
+    """
+    return read_learned(TRAINED / f"fast-{name}{WEIGHT_SUFFIX}")
+
+
+def warm_steps(count: int) -> WarmAdmm:
+    """Return the steps of a frame that starts from the one before, where light adds up."""
+    return WarmAdmm(shipped_steps("additive-warm").at_most(count).full)
 
 
 @dataclass(frozen=True)

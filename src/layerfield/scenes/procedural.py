@@ -101,6 +101,7 @@ def scenes_for(
     size: tuple[int, int],
     seed: int = 0,
     stretch: float = 1.0,
+    reach: float | None = None,
     device: torch.device | str = "cpu",
 ) -> Scene:
     """Return random scenes that fill the depth of a display, for `render(scene, geometry.slopes)`.
@@ -113,6 +114,7 @@ def scenes_for(
         size: height and width of the views, in pixels.
         seed: of the first scene.
         stretch: widens (above 1) or narrows the range of disparities about its middle.
+        reach: largest |slope| that will be rendered, if not the display's own.
         device: where the scene is made and rendered.
     """
     high, low = geometry.parallax[0], geometry.parallax[-1]
@@ -121,7 +123,7 @@ def scenes_for(
         count,
         size=size,
         disparity_range=(middle - half, middle + half),
-        reach=_reach(geometry.slopes),
+        reach=_reach(geometry.slopes) if reach is None else reach,
         seed=seed,
         device=device,
     )

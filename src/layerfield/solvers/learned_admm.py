@@ -99,7 +99,7 @@ class LearnedAdmm:
         spectral, bounds = problem.gram.spectral, problem.bounds
         if state.count == 0:
             return LearnedState(self._first(spectral, data, bounds), None, 1)
-        moved = _moved(spectral, data, state.shadow, state.before, constants, bounds)
+        moved = after_step(spectral, data, state.shadow, state.before, constants, bounds)
         return LearnedState(moved, state.shadow, state.count + 1)
 
     def layers(
@@ -127,7 +127,7 @@ class LearnedAdmm:
         data = torch.fft.irfft2(seen, s=coarser.torus).div_(COARSE**2)
         shadow, before = data / (coarser.weight * len(coarser.symbol)), None
         for constants in self.coarse:
-            moved = _moved(coarser, data, shadow, before, constants, bounds)
+            moved = after_step(coarser, data, shadow, before, constants, bounds)
             shadow, before = moved, shadow
         return torch.fft.rfft2(shadow).mul_(COARSE**2)
 
@@ -138,7 +138,7 @@ def coarse_grid(spectral: Spectral) -> Spectral | None:
     return coarser if min(coarser.torus) >= _LEAST else None
 
 
-def _moved(
+def after_step(
     spectral: Spectral,
     data: Tensor,
     shadow: Tensor,

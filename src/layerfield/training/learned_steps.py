@@ -44,6 +44,18 @@ class LearnedSteps(nn.Module):
         full, coarse = (_real(rows).tolist() for rows in (self.full, self.coarse))
         return LearnedAdmm([Constants(*row) for row in full], [Constants(*row) for row in coarse])
 
+    def onward(
+        self, problem: Problem, state: Float[Tensor, "*batch 1 layer c ly lx"]
+    ) -> Float[Tensor, "*batch 1 layer c ly lx"]:
+        """Return s after all full steps from a state; see `WarmAdmm`."""
+        gram, bounds = problem.gram, problem.bounds
+        back, shadow, before = gram.to_torus(problem.back_projected), gram.to_torus(state), None
+        for row in _real(self.full):
+            data = back + _Band.apply(shadow.clamp(*bounds), gram)
+            after = _moved(gram.spectral, data, shadow, before, row, bounds)
+            shadow, before = after, shadow
+        return gram.from_torus(shadow)
+
     def forward(self, problem: Problem) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         """Return the layers of a problem whose link is a sum, in the bounds of the problem."""
         gram, bounds = problem.gram, problem.bounds
@@ -57,6 +69,15 @@ class LearnedSteps(nn.Module):
             moved = _moved(gram.spectral, data, shadow, before, row, bounds)
             shadow, before = moved, shadow
         return gram.from_torus(shadow).clamp(*bounds)
+
+
+def squares(problem: Problem, layers: Tensor) -> Float[Tensor, " batch"]:
+    """Return the mean square error of every light field of a batch."""
+    total = torch.zeros(len(layers))
+    for i, weight in enumerate(problem.weights):
+        residual = problem.view(layers, i) - problem.light(i)
+        total = total + weight * residual.square().mean(dim=(-3, -2, -1))
+    return total / sum(problem.weights)
 
 
 def _start(steps: int) -> Tensor:

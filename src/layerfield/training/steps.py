@@ -21,7 +21,8 @@ from layerfield.solve import Problem, solve
 from layerfield.solvers.sweeps import best_layer
 from layerfield.synthesizer import SOLVERS
 from layerfield.training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
-from layerfield.training.learned_steps import LearnedSteps
+from layerfield.training.films import Film, FilmLesson, films, last_frames
+from layerfield.training.learned_steps import LearnedSteps, squares
 from layerfield.training.records import CHECKPOINT, RESULT, WEIGHTS, open_run
 from layerfield.training.sources import first_seed, scenes
 from layerfield.training.steps_recipe import StepsRecipe
@@ -50,8 +51,25 @@ def problems(recipe: StepsRecipe, purpose: str) -> list[Problem]:
     return posed
 
 
+def examples(recipe: StepsRecipe, purpose: str) -> list[Problem] | list[Film]:
+    """Return what is learned from, or judged by: pictures, or videos."""
+    return films(recipe, purpose) if recipe.frames > 1 else problems(recipe, purpose)
+
+
+Lesson = Callable[[LearnedSteps], Tensor]
+
+
+def lessons(recipe: StepsRecipe, posed: list[Problem] | list[Film]) -> list[Lesson]:
+    """Return what is to be made small: for pictures that do not move, the logarithm of errors."""
+
+    def of_problem(problem: Problem) -> Lesson:
+        return lambda model: squares(problem, shown_by(recipe, model, problem)).log().mean()
+
+    return [FilmLesson(each) if isinstance(each, Film) else of_problem(each) for each in posed]
+
+
 def learn(
-    recipe: StepsRecipe, steps: int, posed: list[Problem], tick: Callable[[int], None]
+    recipe: StepsRecipe, steps: int, given: list[Lesson], tick: Callable[[int], None]
 ) -> LearnedSteps:
     """Return constants for a number of steps.
 
@@ -60,15 +78,15 @@ def learn(
     Args:
         recipe: how.
         steps: how many full steps.
-        posed: to train on.
+        given: to train on, one after the other.
         tick: called with the number of iterations done.
     """
     model = LearnedSteps(steps, recipe.coarse)
     optimiser = torch.optim.Adam(model.parameters(), lr=recipe.rate)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, recipe.iterations)
-    for done, problem in enumerate(islice(cycle(posed), recipe.iterations)):
+    for done, lesson in enumerate(islice(cycle(given), recipe.iterations)):
         tick(done)
-        loss = squares(problem, shown_by(recipe, model, problem)).log().mean()
+        loss = lesson(model)
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
@@ -89,15 +107,6 @@ def shown_by(
             best = best_layer(problem, layers, k).unsqueeze(-4)
             layers = torch.cat([layers[..., :k, :, :, :], best, layers[..., k + 1 :, :, :, :]], -4)
     return layers
-
-
-def squares(problem: Problem, layers: Tensor) -> Float[Tensor, " batch"]:
-    """Return the mean square error of every light field of a batch."""
-    total = torch.zeros(len(layers))
-    for i, weight in enumerate(problem.weights):
-        residual = problem.view(layers, i) - problem.light(i)
-        total = total + weight * residual.square().mean(dim=(-3, -2, -1))
-    return total / sum(problem.weights)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,11 +141,11 @@ def train_steps(run: StepsRun) -> dict[str, Any]:
     """
     open_run(run.out, resume=run.resume, force=run.force)
     tensors, seconds = _known(run) if run.resume else ({}, 0.0)
-    posed = problems(run.recipe, "training")
+    posed = examples(run.recipe, "training")
     for n, steps in enumerate(run.recipe.steps):
         if f"{steps}.full" not in tensors:
             began = time.monotonic()
-            model = learn(run.recipe, steps, posed, _ticker(run, n))
+            model = learn(run.recipe, steps, lessons(run.recipe, posed), _ticker(run, n))
             seconds += time.monotonic() - began
             tensors |= {f"{steps}.{key}": value.detach() for key, value in model.named_parameters()}
             facts = {"recipe": run.recipe.model_dump(mode="json"), "seconds": seconds}
@@ -193,22 +202,31 @@ def _ticker(run: StepsRun, finished: int) -> Callable[[int], None]:
 def _figures(
     recipe: StepsRecipe, models: dict[int, LearnedSteps], purpose: str
 ) -> dict[str, dict[str, float]]:
-    """Return mean PSNR, by number of steps, beside as many and more of the direct solver."""
-    posed = problems(recipe, purpose)
+    """Return mean PSNR, by number of steps, beside as many and more of the direct solver.
 
-    def mean_psnr(layers: Callable[[Problem], Tensor]) -> float:
-        logs = [squares(problem, layers(problem)).log10().mean().item() for problem in posed]
-        return -10 * sum(logs) / len(logs)
+    Of videos, that is the last frame; the direct solver has none before it.
+    """
+    posed = examples(recipe, purpose)
+    frames = [each.frames[-1] if isinstance(each, Film) else each for each in posed]
+    moving = [each for each in posed if isinstance(each, Film)]
+
+    def decibels(errors: list[Tensor]) -> float:
+        return -10 * sum(each.log10().mean().item() for each in errors) / len(errors)
+
+    def made_by(layers: Callable[[Problem], Tensor]) -> float:
+        return decibels([squares(problem, layers(problem)) for problem in frames])
 
     direct = SOLVERS["fourier-admm"]
-    counts = sorted({*recipe.steps, 10}) if posed[0].link.is_sum else [1, 2, 3]
+    counts = sorted({*recipe.steps, 10}) if frames[0].link.is_sum else [1, 2, 3]
     return {
         "fast": {
-            str(steps): mean_psnr(lambda p, m=model: shown_by(recipe, m, p))
+            str(steps): decibels(last_frames(moving, model))
+            if moving
+            else made_by(lambda p, m=model: shown_by(recipe, m, p))
             for steps, model in models.items()
         },
         "fourier-admm": {
-            str(n): mean_psnr(lambda p, n=n: solve(p, direct.make(p.link), iterations=n).layers)
+            str(n): made_by(lambda p, n=n: solve(p, direct.make(p.link), iterations=n).layers)
             for n in counts
         },
     }

@@ -46,6 +46,7 @@ class StepsRecipe(Table):
         coarse: number of steps on large pixels.
         sweeps: over layers that follow, before layers are judged.
         darkest: darker light is taken for this before its logarithm.
+        frames: of videos whose frames start from the one before; 1 for pictures that do not move.
         displays: to train on.
         scenes: of every display; size: their height and width, pixels.
         stretch: range of their disparities, in units of the depth of the display.
@@ -63,6 +64,7 @@ class StepsRecipe(Table):
     coarse: Annotated[int, Field(strict=True, ge=0)] = 6
     sweeps: Annotated[int, Field(strict=True, ge=0)] = 0
     darkest: Positive = 0.1
+    frames: Count = 1
     displays: Annotated[tuple[Grid, ...], Field(min_length=1)]
     scenes: Count = 6
     size: Annotated[int, Field(strict=True, ge=48)] = 96
@@ -76,6 +78,15 @@ class StepsRecipe(Table):
     def _each_once(self):
         if len(set(self.steps)) < len(self.steps):
             raise ValueError(f"'steps' is {list(self.steps)}, expected every number once")
+        return self
+
+    @model_validator(mode="after")
+    def _warm_where_light_adds_up(self):
+        if self.frames > 1 and (self.link, self.coarse, self.sweeps) != ("additive", 0, 0):
+            raise ValueError(
+                f"'frames' is {self.frames}, but link, coarse and sweeps are '{self.link}', "
+                f"{self.coarse} and {self.sweeps}; expected 'additive', 0 and 0"
+            )
         return self
 
     @model_validator(mode="after")

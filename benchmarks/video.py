@@ -1,0 +1,233 @@
+"""Excess error of every frame of a video, warm and cold, and what a frame costs.
+
+    python benchmarks/video.py OUT.json [VIDEO ...] [--car FOLDER]
+
+Frames of 96x256 on a 1x5 display at disparities 1, 0, -1: panned crops of a wide scene, a camera
+that moves sideways, things that go their own ways, noise, a cut, a fence that moves by half of its
+period; with --car, "car" is the first eleven windows of 1x5 that slide over the 1x25 views of that
+light field. Every other frame from the sixth on is judged, two of the car.
+"""
+
+import argparse
+import json
+import statistics
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from layerfield import (
+    DisparitySpec,
+    Display,
+    LightField,
+    excess,
+    load_light_field,
+    reference,
+    synthesize,
+    synthesize_frames,
+)
+from layerfield.motion import block_motion, moved
+from layerfield.provenance import provenance
+from layerfield.scenes import animated, make_scene, panned, render, travelled
+from layerfield.scenes.scene import EVERYWHERE
+from layerfield.solve import Clock, Problem
+from layerfield.solvers.fourier_admm import FourierAdmm
+from layerfield.stream import seen_from_the_middle
+from layerfield.synthesizer import pose
+
+GRID, SIZE, FRAMES, SETTLED = (1, 5), (96, 256), 14, 5
+LARGE = (480, 640)  # where the parts of a frame are timed
+# Frames from one that is judged to the next: two, but for the cut, at frame 8, and what is large.
+EVERY = {"cut": 8, "car": 5}
+WARM = {"fast": (3, 4), "fourier-admm": (3,)}
+COLD = {"fast": (3, 4, 5, 6)}
+SHOWN = Display(
+    DisparitySpec.model_validate(
+        {"name": "row", "link": "additive", "disparity": (1.0, 0.0, -1.0), "views": GRID}
+    )
+)
+GEOMETRY = SHOWN.geometry
+
+
+def pan(x: int, y: int, seed: int) -> Tensor:
+    return panned(GEOMETRY, (x, y), FRAMES, size=SIZE, seed=seed)
+
+
+def travel(step: float, seed: int) -> Tensor:
+    return travelled(GEOMETRY, step, FRAMES, size=SIZE, seed=seed)
+
+
+def animation(speed: float, seed: int) -> Tensor:
+    return animated(GEOMETRY, speed, FRAMES, size=SIZE, seed=seed)
+
+
+def noise(sigma: float, seed: int) -> Tensor:
+    views = pan(0, 0, seed)
+    return views + sigma * torch.randn(views.shape, generator=torch.Generator().manual_seed(seed))
+
+
+def fence(seed: int) -> Tensor:
+    """Bars 8 px apart, 1 view step nearer than what is behind them, panned by 4 px a frame."""
+    generator = torch.Generator().manual_seed(seed)
+    height, width = SIZE[0], SIZE[1] + 4 * FRAMES
+    bars = 2 - (torch.arange(2 * width) % 8 - 3.5).abs()
+    outlines = torch.stack([torch.full_like(bars, EVERYWHERE), bars])[:, None]
+    behind = torch.nn.functional.interpolate(
+        torch.rand(1, 3, height // 4, width // 4, generator=generator), size=(height, width)
+    )[0]
+    scene = make_scene(
+        torch.stack([behind, torch.full_like(behind, 0.15)]),
+        [-0.5, 0.5],
+        size=(height, width),
+        silhouettes=outlines.expand(2, 2 * height, 2 * width),
+    )
+    views = render(scene, GEOMETRY.slopes)[0]
+    return torch.stack([views[..., 4 * t : 4 * t + SIZE[1]] for t in range(FRAMES)])
+
+
+VIDEOS: dict[str, Callable[[], Tensor]] = {
+    "pan 1 px": lambda: pan(1, 0, 11),
+    "pan 3 px": lambda: pan(3, 0, 12),
+    "pan 4, 2 px": lambda: pan(4, 2, 13),
+    "travel 0.4 views": lambda: travel(0.4, 14),
+    "travel 1 view": lambda: travel(1.0, 16),
+    "travel 3 views": lambda: travel(3.0, 17),
+    "things to 3 px": lambda: animation(3.0, 18),
+    "noise 0.01": lambda: noise(0.01, 19),
+    "cut": lambda: torch.cat([pan(1, 0, 11)[:8], pan(1, 0, 20)[:10]]),
+    "fence": lambda: fence(21),
+}
+
+
+def fields(views: Tensor) -> list[LightField]:
+    codes = views.clamp(0, 1).mul(255).round().to(torch.uint8)
+    return [LightField(frame, GRID) for frame in codes]
+
+
+def car(folder: Path) -> list[LightField]:
+    stored = load_light_field(folder).stored
+    return [LightField(stored[i : i + 5], GRID) for i in range(11)]
+
+
+@dataclass(frozen=True)
+class Judged:
+    """The frames of a video whose optimum is known: number -> problem and its error."""
+
+    fields: list[LightField]
+    shown: Display
+    frames: dict[int, tuple[Problem, float]]
+
+    @classmethod
+    def of(cls, given: list[LightField], shown: Display, every: int) -> "Judged":
+        posed = {t: pose(given[t], shown) for t in range(SETTLED, len(given), every)}
+        known = {t: (p, reference(p).mean_square_error) for t, p in posed.items()}
+        return cls(given, shown, known)
+
+    def excess(self, frame: int, layers: Tensor) -> float:
+        problem, best = self.frames[frame]
+        return excess(problem.mean_square_error(layers), best)
+
+    def warm(self, method: str, iterations: int) -> dict:
+        made = synthesize_frames(self.fields, self.shown, method=method, iterations=iterations)
+        rows, starts = [], []
+        for t, solution in enumerate(made):
+            starts.append(solution.details["start"])
+            if t in self.frames:
+                rows.append((self.excess(t, solution.layers), solution.seconds))
+        return summary(rows) | {"starts": starts}
+
+    def cold(self, method: str, iterations: int) -> dict:
+        rows = []
+        for t in self.frames:
+            made = synthesize(self.fields[t], self.shown, method=method, iterations=iterations)
+            rows.append((self.excess(t, made.layers), made.seconds))
+        return summary(rows)
+
+
+def summary(rows: list[tuple[float, float]]) -> dict:
+    values, seconds = [value for value, _ in rows], [second for _, second in rows]
+    return {
+        "excess": values,
+        "max": max(values),
+        "median": statistics.median(values),
+        "seconds": statistics.median(seconds),
+    }
+
+
+def figures(judged: Judged) -> dict:
+    found = {
+        f"{kind} {method}:{count}": getattr(judged, kind)(method, count)
+        for kind, methods in (("warm", WARM), ("cold", COLD))
+        for method, counts in methods.items()
+        for count in counts
+    }
+    return {"frames": list(judged.frames), "size": judged.fields[0].size, "runs": found}
+
+
+def share_of_a_step(shown: Display, given: LightField) -> dict[str, float]:
+    """Seconds of the parts of a frame, medians of nine, and of a step of the direct solver."""
+    problem = pose(given, shown)
+    picture, even = seen_from_the_middle(problem), problem.even_start()
+    motion = block_motion(picture, picture)
+    state = FourierAdmm().init(problem, None)
+    parts = {
+        "views to even start": lambda: pose(given, shown).even_start(),
+        "motion": lambda: block_motion(picture, picture),
+        "moving": lambda: moved(even, motion),
+        "step": lambda: FourierAdmm().step(problem, state),
+    }
+    return {name: median_seconds(part) for name, part in parts.items()}
+
+
+def median_seconds(work: Callable[[], object]) -> float:
+    seconds = []
+    for _ in range(10):  # the first warms up
+        clock = Clock(torch.device("cpu"))
+        with clock:
+            work()
+        seconds.append(clock.seconds)
+    return statistics.median(seconds[1:])
+
+
+def told(name: str, made: dict) -> str:
+    runs = made["runs"].items()
+    return f"{name}: " + ", ".join(f"{run} {row['max']:.1%}" for run, row in runs)
+
+
+def main(out: Path, names: list[str], car_folder: Path | None) -> None:
+    torch.set_num_threads(1)
+    parts = {name: lambda name=name: fields(VIDEOS[name]()) for name in VIDEOS}
+    parts |= {"car": lambda: car(car_folder)} if car_folder else {}
+    found: dict[str, dict] = {}
+    record = {
+        "command": " ".join(
+            [
+                "python benchmarks/video.py",
+                out.name,
+                *names,
+                *(["--car FOLDER"] if car_folder else []),
+            ]
+        ),
+        "made_with": provenance(torch.device("cpu")),
+        "threads": 1,
+        "seconds": {},
+        "videos": found,
+    }
+    large = panned(GEOMETRY, (0, 0), 1, size=LARGE, seed=11)
+    record["seconds"] = {"size": LARGE} | share_of_a_step(SHOWN, fields(large)[0])
+    for name in names or parts:
+        judged = Judged.of(parts[name](), SHOWN, EVERY.get(name, 2))
+        found[name] = figures(judged)
+        print(told(name, found[name]), flush=True)
+        out.write_text(json.dumps(record, indent=1) + "\n", "utf-8")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description="excess error of videos")
+    parser.add_argument("out", type=Path)
+    parser.add_argument("videos", nargs="*", metavar="VIDEO", help=", ".join(VIDEOS))
+    parser.add_argument("--car", type=Path)
+    given = parser.parse_args()
+    main(given.out, given.videos, given.car)

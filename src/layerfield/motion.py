@@ -1,0 +1,121 @@
+"""Where things went from one picture to the next: block matching, coarse to fine."""
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+from torch.nn.functional import avg_pool2d, grid_sample, interpolate, pad
+
+BLOCK = 8  # pixels that move alike
+_ROUGH_BLOCK, _ROUGH_REACH = 4, 4  # pixels of a quarter of the size, so that 19 px are found
+_STRAY = 1e-3  # what a pixel of motion unlike that of most must bring; where all is even, none does
+
+
+def block_motion(new: Float[Tensor, "y x"], old: Float[Tensor, "y x"]) -> Float[Tensor, "2 y x"]:
+    """Return m (x, y) such that new(p) is nearly old(p + m), constant over blocks of 8 pixels.
+
+    The mean square difference over 3x3 blocks is smallest: among 81 motions at a quarter of the
+    size, then among nine at half of it and nine at full size; a parabola gives fractions of a
+    pixel. Blocks without much detail move as most of the others do.
+
+    Args:
+        new: the later picture, values about 0 to 1.
+        old: the earlier one.
+    """
+    half_new, half_old = _halved(new), _halved(old)
+    quarter = _halved(half_new)
+    still = torch.zeros(2, *_blocks(quarter, _ROUGH_BLOCK), dtype=torch.long, device=new.device)
+    motion = _found(quarter, _halved(half_old), still, _ROUGH_BLOCK, _ROUGH_REACH)[0]
+    centre = _doubled(motion, _blocks(half_new, BLOCK))
+    motion = _found(half_new, half_old, centre, BLOCK, 1)[0]
+    whole, fraction = _found(new, old, _doubled(motion, _blocks(new, BLOCK)), BLOCK, 1)
+    motion = (whole + fraction).repeat_interleave(BLOCK, -2).repeat_interleave(BLOCK, -1)
+    return motion[:, : new.shape[-2], : new.shape[-1]]
+
+
+def moved(
+    values: Float[Tensor, "*batch y x"], motion: Float[Tensor, "2 y x"]
+) -> Float[Tensor, "*batch y x"]:
+    """Return values(p + m), interpolated linearly; 0 where p + m lies outside the picture."""
+    height, width = values.shape[-2:]
+    x = torch.arange(width, device=motion.device) + motion[0]
+    y = torch.arange(height, device=motion.device)[:, None] + motion[1]
+    grid = torch.stack([2 * x / max(width - 1, 1) - 1, 2 * y / max(height - 1, 1) - 1], dim=-1)
+    planes = values.reshape(1, -1, height, width)
+    found = grid_sample(planes, grid[None], padding_mode="border", align_corners=True)
+    inside = (x >= -0.5) & (x <= width - 0.5) & (y >= -0.5) & (y <= height - 0.5)
+    return (found * inside).reshape(values.shape)
+
+
+def _halved(picture: Float[Tensor, "y x"]) -> Float[Tensor, "hy hx"]:
+    return avg_pool2d(picture[None], 2, ceil_mode=True, count_include_pad=False)[0]
+
+
+def _doubled(motion: Int[Tensor, "2 by bx"], blocks: tuple[int, int]) -> Int[Tensor, "2 cy cx"]:
+    return 2 * interpolate(motion[None].float(), size=blocks)[0].long()
+
+
+def _found(
+    new: Tensor, old: Tensor, centre: Int[Tensor, "2 by bx"], block: int, reach: int
+) -> tuple[Int[Tensor, "2 by bx"], Float[Tensor, "2 by bx"]]:
+    """Return the best motion of every block within `reach` pixels of a first guess.
+
+    Returns:
+        Whole pixels, and the fraction to be added.
+    """
+    side, costs = 2 * reach + 1, _costs(new, old, centre, block, reach)
+    steps = torch.arange(-reach, reach + 1, device=centre.device)
+    tried = (
+        centre[:, None]
+        + torch.stack([steps.repeat(side), steps.repeat_interleave(side)])[..., None, None]
+    )
+    strays = (tried - _most(tried, costs)[:, None, None, None]).abs().sum(dim=0)
+    costs = costs + _STRAY * strays
+    best = costs.argmin(dim=0)
+    row, column = best // side, best % side
+    across = _fraction(costs, best, 1, (column > 0) & (column < side - 1))
+    down = _fraction(costs, best, side, (row > 0) & (row < side - 1))
+    chosen = tried.gather(1, best.expand(2, 1, *best.shape))[:, 0]
+    return chosen, torch.stack([across, down])
+
+
+def _costs(
+    new: Tensor, old: Tensor, centre: Tensor, block: int, reach: int
+) -> Float[Tensor, "step by bx"]:
+    """Return the mean square difference of every block and its neighbours for all motions."""
+    (height, width), (rows, columns) = new.shape, centre.shape[-2:]
+    fill = (0, columns * block - width, 0, rows * block - height)
+    tiles = pad(new[None], fill, mode="replicate")[0]
+    tiles = tiles.unflatten(1, (-1, block)).unflatten(0, (-1, block)).transpose(1, 2)
+    span = torch.arange(-reach, block + reach, device=centre.device)
+    x = centre[0] + block * torch.arange(columns, device=centre.device)
+    y = centre[1] + block * torch.arange(rows, device=centre.device)[:, None]
+    x = (x[..., None] + span).clamp(0, width - 1)
+    y = (y[..., None] + span).clamp(0, height - 1)
+    windows = old[y[..., :, None], x[..., None, :]].unfold(2, block, 1).unfold(3, block, 1)
+    errors = (windows - tiles[:, :, None, None]).square_().mean(dim=(-2, -1))
+    by_step = errors.flatten(2).movedim(-1, 0)
+    return avg_pool2d(by_step, 3, 1, 1, count_include_pad=False)
+
+
+def _most(tried: Int[Tensor, "2 step by bx"], costs: Tensor) -> Int[Tensor, " 2"]:
+    """Return the motion of most of the blocks that have more detail than others."""
+    best, spread = costs.argmin(dim=0), costs.amax(dim=0) - costs.amin(dim=0)
+    chosen = tried.gather(1, best.expand(2, 1, *best.shape))[:, 0]
+    voting = chosen[:, spread >= spread.mean()]
+    found, counts = voting.unique(dim=1, return_counts=True)
+    return found[:, counts.argmax()]
+
+
+def _fraction(costs: Tensor, best: Tensor, stride: int, inside: Tensor) -> Tensor:
+    """Return where the parabola through the best cost and its two neighbours is lowest."""
+    last = len(costs) - 1
+    before, here, after = (
+        costs.gather(0, (best + offset).clamp(0, last)[None])[0] for offset in (-stride, 0, stride)
+    )
+    bend = before + after - 2 * here
+    lowest = (0.5 * (before - after) / bend.clamp(min=1e-9)).clamp(-0.5, 0.5)
+    return torch.where(inside & (bend > 1e-9), lowest, 0)
+
+
+def _blocks(picture: Tensor, block: int) -> tuple[int, int]:
+    return -(-picture.shape[-2] // block), -(-picture.shape[-1] // block)

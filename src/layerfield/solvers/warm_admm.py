@@ -1,0 +1,65 @@
+"""A few learned steps of the direct solver from what is left of the frame before."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from jaxtyping import Float
+from torch import Tensor
+
+from layerfield.motion import moved
+from layerfield.solve import Problem
+from layerfield.solvers.learned_admm import Constants, LearnedState, after_step
+
+
+@dataclass(frozen=True, eq=False)
+class WarmAdmm:
+    """Minimise 1/2 ||A P - L||^2_W over a box, from the state of the frame before.
+
+    The first state is that of the frame before, s = z + u, moved as the picture moved; what follows
+    from the views at once, the balanced start e, is that of the new views:
+
+        s_new(p) = e_new(p) + (s - e)(p + m)
+
+    The steps are those of `LearnedAdmm`, all on full size, with constants learned for frames in the
+    middle of videos: for the least error of this frame and of the next.
+
+    Args:
+        full: constants of every step; those of the last serve all that are further asked for.
+    """
+
+    full: Sequence[Constants]
+
+    def init(self, problem: Problem, start: LearnedState | Tensor | None) -> LearnedState:
+        if isinstance(start, LearnedState):
+            return start
+        return LearnedState(problem.gram.to_torus(problem.even_start() if start is None else start))
+
+    def step(self, problem: Problem, state: LearnedState) -> LearnedState:
+        gram, bounds = problem.gram, problem.bounds
+        data = gram.band(state.shadow.clamp(*bounds))
+        gram.from_torus(data).add_(problem.back_projected)
+        constants = self.full[min(state.count, len(self.full) - 1)]
+        after = after_step(gram.spectral, data, state.shadow, state.before, constants, bounds)
+        return LearnedState(after, state.shadow, state.count + 1)
+
+    def layers(
+        self, problem: Problem, state: LearnedState
+    ) -> Float[Tensor, "*batch 1 layer c ly lx"]:
+        return problem.gram.from_torus(state.shadow).clamp(*problem.bounds)
+
+
+def moved_start(
+    even: Float[Tensor, "*batch 1 layer c ly lx"],
+    state: Float[Tensor, "*batch 1 layer c ly lx"],
+    even_before: Float[Tensor, "*batch 1 layer c ly lx"],
+    motion: Float[Tensor, "2 ly lx"],
+) -> Float[Tensor, "*batch 1 layer c ly lx"]:
+    """Return where a frame starts from.
+
+    Args:
+        even: its balanced start.
+        state: s, or the layers, of the frame before.
+        even_before: the balanced start of that.
+        motion: m, from the new frame to the one before.
+    """
+    return even + moved(state - even_before, motion)

@@ -1,0 +1,202 @@
+"""Light field video: every frame starts from what is left of the one before.
+
+The state of a solver, s (the layers, for the direct solver also their dual), moves as the picture
+does, and the share of it that follows from the views at once is that of the new views:
+
+    s_new(p) = e_new(p) + (s - e)(p + m)
+
+with e the balanced start, every layer the mean of what its viewers see, and m the motion of what
+the middle of the viewers sees, found by block matching. What comes into the picture starts from
+e_new alone. Without m the dual holds pixels at bounds that have moved on, and a start can be worse
+than none. Where light adds up, `fast` has steps that were learned for such a start.
+Where the direct solver makes the start of every run and sweeps follow (links that are no sum),
+that start is better than moved layers: each frame has its own, and fewer sweeps.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn.functional import pad
+
+from layerfield.display import Display
+from layerfield.fast import FastMethod, warm_steps
+from layerfield.light_field import LightField
+from layerfield.methods import Method, RunOptions, SolverMethod, ToneMethod
+from layerfield.motion import block_motion, moved
+from layerfield.solve import Clock, Problem, Solution, Solver
+from layerfield.solvers.fourier_admm import AdmmState
+from layerfield.solvers.fourier_start import FourierStart
+from layerfield.solvers.learned_admm import LearnedState
+from layerfield.solvers.nearest_shifts import NearestShifts
+from layerfield.solvers.warm_admm import WarmAdmm, moved_start
+from layerfield.synthesizer import find_method, pose
+
+WARM_ITERATIONS = 3
+_FIRST = 20  # iterations at least, where later frames live on what is made
+_CUT = 0.3  # share of the variance of a frame that the one before, moved, does not explain
+_DARKEST = 1e-3  # layers darker than this move as if they were this bright
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """A frame that was solved, and what the next one needs of it."""
+
+    picture: Float[Tensor, "ly lx"]
+    even: Float[Tensor, "1 layer c ly lx"]
+    solution: Solution
+
+
+def synthesize_frames(
+    fields: Iterable[LightField],
+    display: Display,
+    *,
+    method: str = "fast",
+    iterations: int = WARM_ITERATIONS,
+    weights: Sequence[float] | None = None,
+) -> Iterator[Solution]:
+    """Make the layers of one frame after the other, each as soon as its light field is there.
+
+    The first frame, and the first after a cut, take the iterations that the method makes of itself,
+    twenty if those are fewer; networks, and what follows them, start anew in every frame. No more
+    than the frame before is kept. `Solution.details` says what a frame started from: "start" is
+    "cold", "cut" or "moved"; "unexplained" is the share of the variance of a frame that the moved
+    one before lacks.
+
+    Args:
+        fields: the frames, all of one size.
+        display: what shows them.
+        method: one of `METHODS`, a weight file, or NETWORK+SOLVER.
+        iterations: of every frame that has one before; those of `fast` are learned up to four.
+        weights: how much each view counts, at least 0; all alike if not given. For solvers.
+
+    Raises:
+        ValueError: an unknown method, one that does not serve the display, a frame whose views are
+            not those of the display, or one of another size than the first.
+    """
+    if iterations < 0:
+        raise ValueError(f"found {iterations} iterations a frame, expected 0 or more")
+    found = find_method(method)
+    found.refuse_unserved(display)
+    return _frames(fields, display, found, RunOptions(iterations, weights=weights))
+
+
+def _frames(
+    fields: Iterable[LightField], display: Display, method: Method, options: RunOptions
+) -> Iterator[Solution]:
+    before, shape = None, None
+    for field in fields:
+        shape = shape or field.stored.shape
+        _refuse_other_shape(field, shape)
+        problem = pose(field, display, options.weights)
+        if isinstance(method, SolverMethod):
+            before = _next_frame(before, problem, display, method, options)
+            yield before.solution
+        else:
+            cold = method.run(problem, display, replace(options, iterations=method.iterations))
+            yield _noted(cold, problem, start="cold")
+
+
+def _refuse_other_shape(field: LightField, shape: tuple[int, ...]) -> None:
+    if field.stored.dim() != 4:
+        raise ValueError(
+            f"'{field.name}' is a batch of shape {tuple(field.stored.shape)}, expected one light "
+            "field [view, channel, y, x] a frame"
+        )
+    if field.stored.shape != shape:
+        raise ValueError(
+            f"'{field.name}' has views of shape {tuple(field.stored.shape)}, the first frame had "
+            f"{tuple(shape)}; start another video where the size changes"
+        )
+
+
+def _next_frame(
+    before: _Frame | None,
+    problem: Problem,
+    display: Display,
+    method: SolverMethod,
+    options: RunOptions,
+) -> _Frame:
+    clock, start, details = Clock(problem.device), None, {}
+    moves = not _starts_itself(method, display)
+    made, count = method, max(method.count(None), _FIRST if moves else 0)
+    with torch.no_grad(), clock:
+        picture, even = seen_from_the_middle(problem), _summed(problem).even_start()
+        if before is not None:
+            motion = block_motion(picture, before.picture)
+            details["unexplained"] = _unexplained(picture, before.picture, motion)
+            if details["unexplained"] <= _CUT:
+                count = options.iterations
+                if moves:
+                    made = _warm(method, display, count)
+                    start = _started(before, problem, even, motion, made.make(display.link))
+    run = made.run(problem, display, replace(options, init=start, iterations=count))
+    cut = details.get("unexplained", 0.0) > _CUT
+    details["start"] = "cut" if cut else "cold" if start is None else "moved"
+    timed = replace(run, seconds=run.seconds + clock.seconds)
+    return _Frame(picture, even, _noted(timed, problem, **details))
+
+
+def _starts_itself(method: SolverMethod, display: Display) -> bool:
+    """Whether the direct solver makes the start of every run, before sweeps."""
+    if isinstance(method, FastMethod):
+        return not display.link.is_sum
+    made = method.make if display.geometry.is_regular else method.apart
+    solver = made(display.link) if made is not None else None
+    return isinstance(method, ToneMethod) or isinstance(solver, FourierStart | NearestShifts)
+
+
+def _summed(problem: Problem) -> Problem:
+    return problem if problem.link.is_sum else problem.in_sum_domain()
+
+
+def _warm(method: SolverMethod, display: Display, count: int) -> SolverMethod:
+    """Return what makes the frames that have one before."""
+    if not isinstance(method, FastMethod):
+        return method
+    steps = warm_steps(max(count, 1))
+    return SolverMethod(method.name, method.summary, count, method.links, lambda _: steps)
+
+
+def _noted(solution: Solution, problem: Problem, **details: float | str) -> Solution:
+    noted = {**solution.details, **details}
+    return replace(solution, problem=solution.problem or problem, details=noted)
+
+
+def seen_from_the_middle(problem: Problem) -> Float[Tensor, "*batch ly lx"]:
+    """Return what the middle of the viewers sees, grey, continued over the margin of layers."""
+    reach = [sum(abs(x) + abs(y) for x, y in paths) for paths in problem.projection.shifts]
+    middle = problem.light(reach.index(min(reach))).mean(dim=-3)
+    my, mx = problem.projection.margin
+    planes = middle.reshape(-1, *middle.shape[-2:])
+    whole = pad(planes, (mx, mx, my, my), mode="replicate")
+    return whole.reshape(*middle.shape[:-2], *whole.shape[-2:])
+
+
+def _unexplained(new: Tensor, old: Tensor, motion: Tensor) -> float:
+    """Return the variance of what motion leaves over the variance of the picture."""
+    left, seen = new - moved(old, motion), moved(torch.ones_like(old), motion) > 0
+    return (left[seen].square().mean() / new.var().clamp(min=1e-8)).item()
+
+
+def _started(
+    before: _Frame, problem: Problem, even: Tensor, motion: Tensor, solver: Solver
+) -> Solution | Float[Tensor, "subframe layer c ly lx"]:
+    """Return what the next frame starts from: a state of the direct solver, otherwise layers."""
+    gram, state, solution = problem.gram, before.solution.state, before.solution
+    if type(state) in (LearnedState, AdmmState):  # that of tiles is on a torus of its own
+        shadow = moved_start(even, gram.from_torus(state.shadow), before.even, motion)
+        padded = gram.to_torus(shadow)
+        warm = isinstance(solver, WarmAdmm)
+        known = LearnedState(padded) if warm else replace(state, shadow=padded)
+        return replace(solution, solver=solver, state=known)
+    start = moved_start(even, _to_sum(solution.layers, problem), before.even, motion)
+    return problem.link.from_sum(start).clamp(*problem.bounds)
+
+
+def _to_sum(layers: Tensor, problem: Problem) -> Tensor:
+    """Return layers where the link is a sum, not floored as views are: undoes `from_sum`."""
+    multiplies = problem.link.sum_bounds[1] == 0
+    return layers.clamp(min=_DARKEST).log() if multiplies else layers

@@ -1,0 +1,249 @@
+"""Video: a frame that starts from the one before is better than one that starts anew."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from test_cli import run
+
+from layerfield import (
+    DisparitySpec,
+    Display,
+    LightField,
+    Solution,
+    procedural_light_field,
+    reference,
+    solve,
+    synthesize,
+    synthesize_frames,
+)
+from layerfield.fast import read_learned
+from layerfield.motion import block_motion, moved
+from layerfield.scenes import animated, panned, travelled
+from layerfield.solvers.learned_admm import LearnedState
+from layerfield.solvers.warm_admm import WarmAdmm
+from layerfield.synthesizer import pose
+from layerfield.training.learned_steps import LearnedSteps
+from layerfield.training.steps_recipe import read_steps_recipe
+
+SIZE = (48, 80)
+TINY = """
+name = "tiny"
+solver = "fast"
+link = "additive"
+steps = [1, 2]
+coarse = 0
+frames = 3
+displays = [{ views = [1, 5], disparity = [1.2, 0.0, -0.7] }]
+scenes = 4
+size = 48
+iterations = 3
+"""
+
+
+def row_of_five(link: str) -> Display:
+    return Display(DisparitySpec(link=link, disparity=(1.0, 0.0, -1.0), views=(1, 5)))  # pyright: ignore[reportArgumentType]
+
+
+def pan(step: tuple[int, int], count: int, seed: int = 3) -> list[LightField]:
+    """Crops of one wide light field, each `step` = (x, y) further."""
+    x, y = step
+    size = (SIZE[0] + count * y, SIZE[1] + count * x)
+    whole = procedural_light_field(grid=(1, 5), size=size, seed=seed)
+    return [
+        replace(whole, stored=whole.views[..., t * y : t * y + SIZE[0], t * x : t * x + SIZE[1]])
+        for t in range(count)
+    ]
+
+
+def errors(fields: list[LightField], display: Display, **options) -> list[float]:
+    solutions = synthesize_frames(fields, display, **options)
+    return [
+        pose(field, display).mean_square_error(solution.layers)
+        for field, solution in zip(fields, solutions, strict=True)
+    ]
+
+
+def textured(height: int, width: int) -> torch.Tensor:
+    noise = torch.rand(1, height, width, generator=torch.Generator().manual_seed(0))
+    return torch.nn.functional.avg_pool2d(noise, 3, 1)[0]
+
+
+def test_motion_of_a_shifted_picture_is_found():
+    picture = textured(110, 130)
+    for x, y in ((0, 0), (3, -2), (-13, 9)):
+        old = picture[15:79, 15:111]
+        new = picture[15 + y : 79 + y, 15 + x : 111 + x]
+        inside = block_motion(new, old)[:, 20:-20, 20:-20]
+        wanted = torch.tensor([float(x), float(y)])[:, None, None].expand_as(inside)
+        torch.testing.assert_close(inside, wanted, atol=0.15, rtol=0)
+
+
+def test_where_all_is_even_motion_is_that_of_the_rest():
+    picture = textured(70, 200)
+    picture[:, 90:] = 0.5
+    motion = block_motion(picture[:, 3:180], picture[:, :177])
+    torch.testing.assert_close(motion[0, :, 8:150], torch.full((68, 142), 3.0), atol=0.15, rtol=0)
+
+
+def test_moved_pictures_are_interpolated_and_end_at_the_edge():
+    picture = torch.arange(12.0).reshape(3, 4)
+    motion = torch.stack([torch.full((3, 4), 0.5), torch.ones(3, 4)])
+    # the last column of the second row is half a pixel past the edge, which still counts
+    expected = torch.tensor([[4.5, 5.5, 6.5, 7.0], [8.5, 9.5, 10.5, 11.0], [0.0, 0.0, 0.0, 0.0]])
+    torch.testing.assert_close(moved(picture, motion), expected)
+
+
+@pytest.mark.parametrize(("method", "gain"), [("fast", 0.99), ("fourier-admm", 0.94)])
+@pytest.mark.parametrize("step", [(2, 0), (3, 1)])
+def test_a_warm_frame_is_better_than_a_cold_one_of_the_same_count(method, gain, step):
+    display, fields = row_of_five("additive"), pan(step, 5)
+    warm = errors(fields, display, method=method)
+    for field, error in list(zip(fields, warm, strict=True))[1:]:
+        cold = synthesize(field, display, method=method, iterations=3).layers
+        assert error < gain * pose(field, display).mean_square_error(cold)
+
+
+def test_four_learned_steps_are_better_than_three_and_three_than_one():
+    display, fields = row_of_five("additive"), pan((3, 0), 5)
+    one, three, four = (errors(fields, display, iterations=n)[-1] for n in (1, 3, 4))
+    assert four < three < one
+
+
+def test_where_light_is_multiplied_every_frame_starts_itself():
+    display, fields = row_of_five("multiplicative"), pan((2, 0), 3)
+    made = list(synthesize_frames(fields, display, iterations=1))
+    assert [s.details["start"] for s in made] == ["cold", "cold", "cold"]
+    assert [s.iterations for s in made] == [4, 1, 1]
+    cold = synthesize(fields[2], display, method="fast", iterations=1).layers
+    torch.testing.assert_close(made[2].layers, cold)
+
+
+def test_any_grid_and_number_of_layers_is_served():
+    spec = DisparitySpec(link="additive", disparity=(1.5, 0.5, -0.5, -1.5), views=(3, 3))
+    display, whole = Display(spec), procedural_light_field(grid=(3, 3), size=(48, 70), seed=5)
+    fields = [replace(whole, stored=whole.views[..., 2 * t : 2 * t + 60]) for t in range(4)]
+    warm = errors(fields, display)[-1]
+    cold = synthesize(fields[-1], display, method="fast", iterations=3).layers
+    assert warm < pose(fields[-1], display).mean_square_error(cold)
+
+
+@pytest.mark.parametrize("method", ["sweeps", "nmf", "gradient"])
+def test_other_solvers_gain_as_well(method):
+    display, fields = row_of_five("additive"), pan((2, 0), 4)
+    warm = errors(fields, display, method=method)[-1]
+    cold = synthesize(fields[-1], display, method=method, iterations=3).layers
+    assert warm < pose(fields[-1], display).mean_square_error(cold)
+
+
+@pytest.mark.parametrize(("method", "excess"), [("fast", 0.02), ("fourier-admm", 0.02)])
+def test_a_still_video_comes_near_the_optimum(method, excess):
+    display, field = row_of_five("additive"), pan((0, 0), 1)[0]
+    found = errors([field] * 30, display, method=method)
+    assert found[-1] < (1 + excess) * reference(pose(field, display)).mean_square_error
+    assert found[-1] < min(found[0], found[5])
+
+
+def test_a_cut_is_found_and_starts_anew():
+    display = row_of_five("additive")
+    fields = [*pan((1, 0), 3), *pan((1, 0), 2, seed=8)]
+    made = list(synthesize_frames(fields, display))
+    assert [s.details["start"] for s in made] == ["cold", "moved", "moved", "cut", "moved"]
+    assert [s.iterations for s in made] == [20, 3, 3, 20, 3]
+    assert "unexplained" not in made[0].details
+    shares = [float(s.details["unexplained"]) for s in made[1:]]
+    assert [share > 0.3 for share in shares] == [False, False, True, False]
+    cold = synthesize(fields[3], display, method="fast", iterations=20).layers
+    torch.testing.assert_close(made[3].layers, cold)
+
+
+def test_frames_are_taken_and_let_go_one_by_one():
+    taken: list[int] = []
+
+    def frames() -> Iterator[LightField]:
+        for t, field in enumerate(pan((1, 0), 4)):
+            taken.append(t)
+            yield field
+
+    made = synthesize_frames(frames(), row_of_five("additive"))
+    assert taken == []
+    for t, solution in enumerate(made):
+        assert taken == list(range(t + 1))
+        assert solution.problem is not None
+        assert solution.problem.target.shape == (5, 3, *SIZE)
+
+
+def test_networks_start_anew_in_every_frame():
+    display = Display.load("additive-3")
+    field = procedural_light_field(size=(24, 32))
+    made = list(synthesize_frames([field, field], display, method="stacked-cnn"))
+    assert [s.details["start"] for s in made] == ["cold", "cold"]
+    assert torch.equal(made[0].layers, made[1].layers)
+
+
+def test_what_makes_no_video_is_refused():
+    display, field = row_of_five("additive"), pan((0, 0), 1)[0]
+    smaller = replace(field, stored=field.views[..., 1:])
+    with pytest.raises(ValueError, match="the first frame had"):
+        list(synthesize_frames([field, smaller], display))
+    with pytest.raises(ValueError, match="expected 0 or more"):
+        synthesize_frames([field], display, iterations=-1)
+    with pytest.raises(ValueError, match="expected one light field"):
+        list(synthesize_frames([replace(field, stored=field.views[None])], display))
+    spec = DisparitySpec(link="polarisation", disparity=(1.0, -1.0), views=(1, 5))
+    with pytest.raises(ValueError, match="take fourier-admm"):
+        synthesize_frames([field], Display(spec))
+    with pytest.raises(ValueError, match="serves"):
+        synthesize_frames([field], display, method="ntf")
+
+
+def test_moving_scenes_are_shifted_views_of_one():
+    geometry, size = row_of_five("additive").geometry, (32, 40)
+    for step in ((2, 1), (-2, -1)):
+        views = panned(geometry, step, 3, size=size, seed=1)
+        x, y = abs(step[0]), abs(step[1])
+        first, later = (views[0], views[2]) if step[0] > 0 else (views[2], views[0])
+        torch.testing.assert_close(first[..., 2 * y :, 2 * x :], later[..., : -2 * y, : -2 * x])
+    seen = travelled(geometry, 1.0, 2, size=size, seed=1)
+    torch.testing.assert_close(seen[0, 1:], seen[1, :-1])
+    moving = animated(geometry, 3.0, 3, size=size, seed=1)
+    assert moving.shape == (3, 5, 3, *size)
+    assert not torch.equal(moving[0], moving[2])
+
+
+def test_the_learned_steps_of_a_video_are_what_their_training_computes():
+    """The differentiable formula, and the solver."""
+    field, display = pan((0, 0), 1)[0], row_of_five("additive")
+    problem, model = pose(field, display), LearnedSteps(3, 0)
+    state = problem.even_start() * 1.3
+    expected = model.onward(problem, state).clamp(0, 1)
+    solver = WarmAdmm(model.solver().full)
+    start = LearnedState(problem.gram.to_torus(state))
+    begun = Solution(state, 0, 0.0, "", solver=solver, state=start)
+    found = solve(problem, solver, iterations=3, init=begun).layers
+    torch.testing.assert_close(found, expected, atol=1e-4, rtol=0)
+
+
+def test_steps_of_a_video_are_trained_by_a_recipe(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("tiny.toml").write_text(TINY)
+    done = run("train", "tiny.toml", "--out", "whole")
+    assert done.status == 0, done.err
+    assert "fast, dB on test scenes" in done.out
+    learned = read_learned(Path("whole", "weights.safetensors"))
+    assert [len(learned.steps[n].full) for n in (1, 2)] == [1, 2]
+    Path("tiny.toml").write_text(TINY.replace("coarse = 0", "coarse = 2"))
+    done = run("train", "tiny.toml", "--out", "other")
+    assert (done.status, len(done.err.strip().splitlines())) == (2, 1)
+    assert "expected 'additive', 0 and 0" in done.err
+
+
+def test_what_the_page_shows_runs():
+    page = (Path(__file__).parents[1] / "docs" / "video.md").read_text("utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
+    exec(compile(code, "video.md", "exec"), {})
+    (recipe,) = re.findall(r"layerfield train (\S+)", page)
+    assert read_steps_recipe(recipe).frames > 1

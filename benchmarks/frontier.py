@@ -26,17 +26,17 @@ from layerfield.bench.standing import cap_lines, standing_tables
 PRESETS = ("additive-3", "multiplicative-3")
 CONTENDERS = {
     "fast": (1, 2, 3, 4, 5, 6, 8, 10, 12),
-    "fourier-admm": (1, 2, 3, 5, 7, 10, 20, 30),
-    "sweeps": (1, 2, 3, 5, 10, 15, 20, 30, 40),
-    "nmf": (5, 20, 50),
-    "ntf": (2, 5, 20),
-    "sart": (2, 10, 30),
-    "gradient": (5, 20, 50),
+    "fourier-admm": (1, 2, 3, 5, 7, 10, 20),
+    "sweeps": (1, 2, 5, 10, 15, 20),
+    "nmf": (5, 20),
+    "ntf": (2, 5),
+    "sart": (2, 10),
+    "gradient": (5, 20),
     "unet": (0,),
     "stacked-cnn": (0,),
 }
 CPU = torch.device("cpu")
-EFFORT = Effort(repeats=3, cap=20.0)
+EFFORT = Effort(repeats=3, cap=6.0)
 
 
 def frontier(out: Path) -> None:

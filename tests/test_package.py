@@ -147,12 +147,17 @@ def test_the_readme_opens_with_the_two_commands():
 
 
 def runs(commands: list[str]) -> None:
-    """Run commands; `view` would serve for ever, so it writes what it would serve."""
+    """Run commands; `view` would serve for ever, so it writes what it would serve.
+
+    `render` makes small pictures, which takes seconds.
+    """
     for command in commands:
         name, *words = shlex.split(command)
         assert name == "layerfield"
         if words[0] == "view" and "--export" not in words:
             words += ["--export", "served.html", "--force"]
+        if words[0] == "render":
+            words += ["--size", "32x24", "--samples", "1"]
         done = run(*words)
         assert done.status == 0, f"{command}\n{done.err}"
 
@@ -228,6 +233,16 @@ PAGES = {
 def test_every_command_of_the_page_on_the_viewer_runs(my_views):
     runs(commands_in((ROOT / "docs" / "viewer.md").read_text("utf-8")))
     assert Path("page.html").stat().st_size > 100_000
+
+
+def test_every_command_of_the_page_on_rendering_runs(my_views):
+    page = (ROOT / "docs" / "render.md").read_text("utf-8")
+    Path("moves.csv").write_text("0,10\n15,20\n")
+    trimesh = pytest.importorskip("trimesh")
+    trimesh.creation.icosphere(2).export("my-model.glb")
+    runs([command for command in commands_in(page) if command.startswith("layerfield")])
+    for block in re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL):
+        exec(compile(block, "render.md", "exec"), {})
 
 
 @pytest.mark.parametrize("name", PAGES)

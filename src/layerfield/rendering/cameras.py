@@ -64,7 +64,7 @@ def _parallel(
     mi = mitsuba()
 
     _, width = placement.size
-    start = placement.front + width  # rays set out from there, in front of all that is seen
+    start = placement.seen[1] + width  # rays set out from there, in front of all that is seen
     x, y = slope
     half = width / 2
     pose = np.array(

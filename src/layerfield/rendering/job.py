@@ -110,6 +110,7 @@ class Job:
                 "unit": "px of disparity" if in_disparities(self.display) else "mm",
                 "farthest": far / unit,
                 "nearest": near / unit,
+                "ground": [placement.gain * z / unit for z in placement.seen],
                 "display": [z / unit for z in placement.geometry.depths],
             },
             "disparities": placement.disparities(),
@@ -202,7 +203,7 @@ def _encoded(light: Float[np.ndarray, "y x 3"], display: Display) -> Float[Tenso
 
 
 def _write_maps(view: _View, take: Take, job: Job) -> None:
-    z = first_hits(take, job.placement, view.number).z
+    z = first_hits(take, job.placement, view.number)
     maps = {"disparity": job.placement.disparity(z)}
     if not in_disparities(job.display):
         maps["depth"] = 1e3 * job.placement.gain * z

@@ -126,8 +126,9 @@ class Placement:
         scale: pixels of the picture for one unit of the scene.
         gain: depth for one pixel, in metres or in pixels of disparity.
         centre: the point of the turned scene that lies in the centre of the display plane.
-        front: z of the nearest visible point, in pixels.
+        front: z of the nearest point of the scene, in pixels.
         back: z of the farthest.
+        seen: z of the farthest and of the nearest visible point, those of the ground among them.
         extent: of the turned scene in all its poses.
     """
 
@@ -138,6 +139,7 @@ class Placement:
     centre: Float[np.ndarray, " 3"]
     front: float
     back: float
+    seen: tuple[float, float]
     extent: Extent
 
     def to_picture(self, pose: Pose) -> Float[np.ndarray, "4 4"]:
@@ -149,7 +151,7 @@ class Placement:
 
     @property
     def depths(self) -> tuple[float, float]:
-        """Depth of the farthest and the nearest visible point, as the geometry counts it."""
+        """Depth of the farthest and the nearest point of the scene, as the geometry counts it."""
         return self.gain * self.back, self.gain * self.front
 
     @property
@@ -162,7 +164,7 @@ class Placement:
         return self.geometry.distances[view] / self.gain
 
     def disparities(self) -> tuple[float, float]:
-        """Return the disparity of the farthest and the nearest visible point.
+        """Return the disparity of the farthest and the nearest point of the scene.
 
         In pixels between neighbouring views; for a slope of one where these form no grid.
         """
@@ -220,9 +222,10 @@ def place(
 ) -> Placement:
     """Place a scene: its width and height in the picture, its depth in that of the display.
 
-    The nearest visible point comes to the depth of the front layer, the farthest to that of the
-    back one, and those between linearly. On a physical display a scene keeps its proportions where
-    they take less than this, about the middle of the layers; `fit.depth` is obeyed in any case.
+    Its nearest point comes to the depth of the front layer, the farthest to that of the back one,
+    and those between linearly; the ground, which is plain, goes on beyond both. On a physical
+    display a scene keeps its proportions where they take less than this, about the middle of the
+    layers; `fit.depth` is obeyed in any case.
 
     Args:
         extents: of the scene in all poses that it takes; the place is one for all.
@@ -243,17 +246,20 @@ def place(
     scale = _scale(extent, (height, width), display, fit, share)
     middle = (extent.low + extent.high) / 2
     near, far = extent.high[2], extent.low[2]
-    if ground is not None:
-        sunk = extent.low[1] + (0.5 - _UNDER) * height / scale
-        middle[1] = min(middle[1], sunk) if ground.shows(extents) else middle[1]
-        edge = height / 2 / scale
-        far = ground.farthest(extents, extent, middle[1] + edge)
-        near = max(near, ground.nearest(extents, middle[1] - edge))
     deep = near - far if near - far > _FLAT * extent.width else extent.width
     gain = (front - back) / (scale * deep)
     if fit.depth is None and not in_disparities(display):
         gain = min(gain, geometry.pitch)
-    middle[2] = (near + far) / 2 - (front + back) / 2 / (gain * scale)
+    middle[2] -= (front + back) / 2 / (gain * scale)
+    seen = far, near
+    if ground is not None:
+        sunk = extent.low[1] + (0.5 - _UNDER) * height / scale
+        middle[1] = min(middle[1], sunk) if ground.shows(extents) else middle[1]
+        edge = height / 2 / scale
+        seen = (
+            ground.farthest(extents, extent, middle[1] + edge),
+            max(near, ground.nearest(extents, middle[1] - edge)),
+        )
     return Placement(
         geometry=geometry,
         size=size,
@@ -262,6 +268,7 @@ def place(
         centre=middle,
         front=float(scale * (near - middle[2])),
         back=float(scale * (far - middle[2])),
+        seen=(float(scale * (seen[0] - middle[2])), float(scale * (seen[1] - middle[2]))),
         extent=extent,
     )
 

@@ -28,12 +28,12 @@ def _of_lengths(placement: Placement) -> list[str]:
     true = placement.gain / pitch
     unit = 1e3 * placement.scale * pitch
     depth = f"depth is {far:.1f} to {near:.1f} mm from the display plane"
-    flat = (
+    shape = (
         "as deep as it is"
         if math.isclose(true, 1)
         else f"{true:.0%} of its own depth ({(near - far) / true:.0f} mm)"
     )
-    return [f"one unit of the model is {unit:.4g} mm; {depth}, {flat}"]
+    return [f"one unit of the model is {unit:.4g} mm; {depth}, {shape}"]
 
 
 def _of_disparities(placement: Placement) -> list[str]:

@@ -1,7 +1,8 @@
 """One view: paths traced through the scene, or only what each pixel sees first."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
+import cv2
 import numpy as np
 from jaxtyping import Float
 
@@ -16,22 +17,9 @@ _PORTIONS = 4  # of the samples, at least; the fewer, the less can be told of sp
 _SPARK, _DIM = 2.0, 0.05  # times the median of the portions, plus that, is still no spark
 
 # The preview: a light from the upper left, and one from all around that is brighter above.
-_LIGHT = np.array([-0.45, 0.6, 0.66], np.float32)  # as long as 1
+# Columns: its direction, that of what is above, and that of the viewer.
+_SHADING = np.array([[-0.45, 0.6, 0.66], [0, 1, 0], [0, 0, 1]]).T
 _DIRECT, _ABOVE, _BELOW = 0.75, 0.5, 0.25
-
-
-class Hits(NamedTuple):
-    """What rays through pixel centres see first.
-
-    Args:
-        z: in picture coordinates, pixels; NaN where they see nothing.
-        normal: toward the viewer, in picture coordinates.
-        colour: share of the light that comes back there.
-    """
-
-    z: Float[np.ndarray, "y x"]
-    normal: Float[np.ndarray, "y x 3"]
-    colour: Float[np.ndarray, "y x 3"]
 
 
 def trace(
@@ -58,9 +46,7 @@ def trace(
         film = _film(placement.size, "rgba")
         sensor = mi.load_dict(camera(placement, view, take.frame, film) | {"sampler": sampler})
         number = int(np.random.SeedSequence([*seed, turn]).generate_state(1)[0])
-        picture = mi.render(
-            take.scene, sensor=sensor, integrator=integrator, spp=count, seed=number
-        )
+        picture = integrator.render(take.scene, sensor=sensor, seed=number, spp=count)
         found.append(np.nan_to_num(np.asarray(picture)[..., :4]))
     total = np.average(_without_sparks(np.stack(found)), axis=0, weights=portions)
     return total[..., :3] + (1 - total[..., 3:]) * take.behind
@@ -90,50 +76,44 @@ def _without_sparks(
 
 
 def first_hits(
-    take: Take, placement: Placement, view: int, *, fine: int = 1, centred: bool = True
-) -> Hits:
-    """Return what a view sees first in each pixel.
+    take: Take, placement: Placement, view: int, *, fine: int = 1
+) -> Float[np.ndarray, "y x"]:
+    """Return the z of what is first met through the centre of each pixel; NaN where nothing is.
+
+    In picture coordinates (see `placement`), in pixels.
 
     Args:
         take: what is rendered.
         placement: of it in the display.
         view: number of the viewpoint.
         fine: rays along each side of a pixel.
-        centred: whether rays go through the centre of their share of it, or anywhere in there.
     """
-    mi = mitsuba()
-
-    height, width = placement.size
-    film = _film((fine * height, fine * width), "rgb")
-    centres = {"type": "stratified", "sample_count": 1, "jitter": not centred}
-    sensor = mi.load_dict(camera(placement, view, take.frame, film) | {"sampler": centres})
-    found = _aov(take.scene, sensor)
-    to_picture = np.linalg.inv(take.frame).astype(np.float32)
-    turn = to_picture[:3, :3] / np.linalg.norm(to_picture[:3, 0])
-    z = found["position"] @ to_picture[2, :3] + to_picture[2, 3]
-    normal = found["normal"] @ turn.T
-    return Hits(
-        z=np.where(found["hit"], z, np.nan),
-        normal=np.where(normal[..., 2:] < 0, -normal, normal),
-        colour=found["albedo"],
-    )
+    film = _film((fine * placement.size[0], fine * placement.size[1]), "rgb")
+    found = _aov(take.scene, _sensor(take, placement, view, film, jitter=False), "position")
+    toward = np.linalg.inv(take.frame)[2]
+    z = found["position"] @ toward[:3].astype(np.float32) + np.float32(toward[3])
+    return np.where(found["hit"], z, np.nan)
 
 
 def preview(take: Take, placement: Placement, view: int) -> Float[np.ndarray, "y x 3"]:
     """Return the light of a view without shadows, quickly; arguments as in `first_hits`."""
-    fine = 2 if mitsuba().variant() == FAST else 1  # rays along each side of a pixel
-    hits = first_hits(take, placement, view, fine=fine, centred=fine == 1)
-    facing = (hits.normal @ _LIGHT).clip(0)
-    around = _BELOW + (_ABOVE - _BELOW) * (hits.normal[..., 1] + 1) / 2
-    light = hits.colour * (_DIRECT * facing + around)[..., None]
-    light = np.where(np.isnan(hits.z)[..., None], take.behind, light)
     height, width = placement.size
-    return light.reshape(height, fine, width, fine, 3).mean((1, 3))
+    fine = 2 if mitsuba().variant() == FAST else 1  # rays along each side of a pixel
+    film = _film((fine * height, fine * width), "rgb")
+    sensor = _sensor(take, placement, view, film, jitter=fine > 1)
+    found = _aov(take.scene, sensor, "sh_normal", "albedo")
+    axes = take.frame[:3, :3] / np.linalg.norm(take.frame[:3, 0])
+    lit, up, front = np.moveaxis(found["sh_normal"] @ (axes @ _SHADING).astype(np.float32), -1, 0)
+    side = np.where(front < 0, np.float32(-1), np.float32(1))  # surfaces face the viewer
+    light = _DIRECT * (side * lit).clip(0) + side * (_ABOVE - _BELOW) / 2 * up
+    light = found["albedo"] * (light + (_ABOVE + _BELOW) / 2)[..., None]
+    light[~found["hit"]] = take.behind
+    return light if fine == 1 else cv2.resize(light, (width, height), interpolation=cv2.INTER_AREA)
 
 
 def visible_points(scene: Any, sensor: Any) -> Float[np.ndarray, "point 3"]:
     """Return points of a scene that a camera sees."""
-    found = _aov(scene, sensor)
+    found = _aov(scene, sensor, "position")
     return found["position"][found["hit"]]
 
 
@@ -149,12 +129,19 @@ def _film(size: tuple[int, int], pixels: str) -> dict[str, Any]:
     }
 
 
-def _aov(scene: Any, sensor: Any) -> dict[str, np.ndarray]:
-    mi = mitsuba()
+def _sensor(
+    take: Take, placement: Placement, view: int, film: dict[str, Any], *, jitter: bool
+) -> Any:
+    """A camera with one ray through each pixel of the film, through its centre or anywhere."""
+    sampler = {"type": "stratified", "sample_count": 1, "jitter": jitter}
+    return mitsuba().load_dict(camera(placement, view, take.frame, film) | {"sampler": sampler})
 
-    integrator = mi.load_dict(
-        {"type": "aov", "aovs": "depth:depth,position:position,normal:sh_normal,albedo:albedo"}
-    )
-    found = np.asarray(mi.render(scene, sensor=sensor, integrator=integrator, spp=1))
-    depth, position, normal, albedo = np.split(found[..., -10:], [1, 4, 7], axis=-1)
-    return {"hit": depth[..., 0] > 0, "position": position, "normal": normal, "albedo": albedo}
+
+def _aov(scene: Any, sensor: Any, *wanted: str) -> dict[str, np.ndarray]:
+    """What rays meet first: three numbers of each kind, and whether there is anything."""
+    asked = ",".join(["depth:depth", *(f"{name}:{name}" for name in wanted)])
+    integrator = mitsuba().load_dict({"type": "aov", "aovs": asked})
+    found = np.asarray(integrator.render(scene, sensor=sensor, seed=0, spp=1))
+    found = found[..., -1 - 3 * len(wanted) :]
+    kinds = {name: found[..., 1 + 3 * i : 4 + 3 * i] for i, name in enumerate(wanted)}
+    return {"hit": found[..., 0] > 0, **kinds}

@@ -317,6 +317,25 @@ def test_colours_of_vertices_and_of_materials_are_kept():
     assert (found.metallic, found.roughness) == (1.0, 0.25)
 
 
+def test_what_glows_is_seen_and_cutouts_are_not(few: str):
+    glow = trimesh.visual.material.PBRMaterial(
+        emissiveFactor=[1.0, 0.0, 0.0], baseColorFactor=[0, 0, 0, 255], metallicFactor=0.0
+    )
+    ball = trimesh.creation.icosphere(2, 1.0)
+    ball.visual = trimesh.visual.TextureVisuals(material=glow)
+    sheet = relief(2, 2)
+    clear = np.full((8, 8, 4), [0, 255, 0, 0], np.uint8)
+    sheet.visual.material.baseColorTexture = Image.fromarray(clear)
+    sheet.visual.material.alphaMode = "MASK"
+    sheet.apply_translation([0, 0, 2])
+    trimesh.Scene([ball, sheet]).export("lamp.glb")
+    how = ["--samples", "4", "--size", "32x24", "--elevation", "0"]
+    succeed("render", "lamp.glb", "--display", few, *how, "--out", "f")
+    red, green, blue = read_image("f/view_00_00.png")[:, 12, 16]
+    assert red > 0.95
+    assert max(green, blue) < 0.5
+
+
 def test_edges_are_kept_where_a_file_has_no_normals():
     trimesh.creation.box().export("box.stl")
     box = read_model(Path("box.stl")).surfaces[0].by_corners()

@@ -16,8 +16,8 @@ def remarks(job: Job, variant: str) -> list[str]:
         lines.append(f"disparities are {low:.2f} to {high:.2f} px between neighbouring views")
     if variant == SAFE and job.quality.samples:
         lines.append(
-            "note: no library of LLVM fits Mitsuba here, so that rendering takes several times as "
-            "long; docs/render.md says which does"
+            "note: no library of LLVM fits Mitsuba here, so that rendering takes two to three "
+            "times as long; docs/render.md says which does"
         )
     return lines
 

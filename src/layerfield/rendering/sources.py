@@ -75,8 +75,9 @@ class StagedModel:
         if self._stage is not None:
             still = to_scene @ placement.to_picture(Pose())
             shapes["stage"] = mesh_of(self._stage.surface(pose, placement), still)
-        scene = mi.load_dict({"type": "scene", **lights(), **shapes})
-        return Take(scene, to_scene, behind=_BACKGROUND)
+        scene = mi.load_dict({"type": "scene", **lights(placement.size), **shapes})
+        glows = any(max(surface.material.glow) > 0 for surface in self.model.surfaces)
+        return Take(scene, to_scene, lamps_hidden=not glows, behind=_BACKGROUND)
 
 
 @dataclass(frozen=True, eq=False)

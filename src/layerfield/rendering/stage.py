@@ -107,12 +107,18 @@ def _normals(profile: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
     return np.stack([np.zeros(len(along)), -along[:, 1], along[:, 0]], axis=1)
 
 
-def lights() -> dict[str, Any]:
-    """Return a soft key light from the upper left and a dim sky, for `mitsuba.load_dict`."""
+def lights(size: tuple[int, int]) -> dict[str, Any]:
+    """Return a soft key light from the upper left and a dim sky, for `mitsuba.load_dict`.
+
+    Args:
+        size: height and width of the picture; the light hangs above it.
+    """
     mi = mitsuba()
 
-    place = mi.ScalarTransform4f().look_at(origin=_KEY_PLACE, target=[0, 0, -0.3], up=[0, 1, 0])
-    strength = {"type": "rgb", "value": [_KEY_LIGHT, 0.96 * _KEY_LIGHT, 0.9 * _KEY_LIGHT]}
+    origin = np.array(_KEY_PLACE) * [1, max(1, size[0] / size[1]), 1]
+    place = mi.ScalarTransform4f().look_at(origin=origin, target=[0, 0, -0.3], up=[0, 1, 0])
+    power = _KEY_LIGHT * (origin @ origin) / np.dot(_KEY_PLACE, _KEY_PLACE)
+    strength = {"type": "rgb", "value": [power, 0.96 * power, 0.9 * power]}
     return {
         "key": {
             "type": "disk",

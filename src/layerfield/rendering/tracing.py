@@ -37,7 +37,7 @@ def trace(
     mi = mitsuba()
 
     integrator = take.integrator or mi.load_dict(
-        {"type": "path", "max_depth": _BOUNCES, "hide_emitters": True}
+        {"type": "path", "max_depth": _BOUNCES, "hide_emitters": take.lamps_hidden}
     )
     portions = _portions(samples, placement.size)
     found = []

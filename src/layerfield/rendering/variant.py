@@ -1,7 +1,7 @@
 """Which of Mitsuba's variants runs here.
 
-`llvm_ad_rgb` is several times faster and needs a library of LLVM. With one that does not fit it
-aborts the whole process, which no Python can catch, so that a process of its own tries it first.
+`llvm_ad_rgb` is two to three times as fast and needs a library of LLVM. With one that does not fit
+it aborts the whole process, which no Python can catch, so that a process of its own tries it first.
 """
 
 import importlib

@@ -66,11 +66,11 @@ def test_lower_rooms_do_not_import_higher_ones():
         "light_field", "projection", "back_projection", "warped_projection", "panel_projection",
         "frequencies", "gram", "display_constants", "links", "composition", "transfer",
         "panel_spec", "display_spec", "display", "panels", "motion", "solve", "between", "tone",
-        "solvers", "panel_images", "networks", "metrics", "provenance", "scenes", "io", "eyes",
-        "animation", "plane_sweep", "disparity", "weights", "methods", "fast", "synthesizer",
-        "stream", "reference", "evaluate", "remarks", "observers", "stored_result", "result",
-        "spectrum", "design", "training", "report", "bench", "viewer", "demo", "reproduction",
-        "cli", "__main__",
+        "solvers", "panel_images", "networks", "metrics", "provenance", "scenes", "io", "rendering",
+        "eyes", "animation", "plane_sweep", "disparity", "weights", "methods", "fast",
+        "synthesizer", "stream", "reference", "evaluate", "remarks", "observers", "stored_result",
+        "result", "spectrum", "design", "training", "report", "bench", "viewer", "demo",
+        "reproduction", "cli", "__main__",
     ]  # fmt: skip
     source = ROOT / "src" / "layerfield"
     for file in source.rglob("*.py"):
@@ -148,12 +148,17 @@ def test_the_readme_opens_with_the_two_commands():
 
 
 def runs(commands: list[str]) -> None:
-    """Run commands; `view` would serve for ever, so it writes what it would serve."""
+    """Run commands; `view` would serve for ever, so it writes what it would serve.
+
+    `render` makes small pictures, which takes seconds.
+    """
     for command in commands:
         name, *words = shlex.split(command)
         assert name == "layerfield"
         if words[0] == "view" and "--export" not in words:
             words += ["--export", "served.html", "--force"]
+        if words[0] == "render":
+            words += ["--size", "32x24", "--samples", "1"]
         done = run(*words)
         assert done.status == 0, f"{command}\n{done.err}"
 
@@ -229,6 +234,16 @@ PAGES = {
 def test_every_command_of_the_page_on_the_viewer_runs(my_views):
     runs(commands_in((ROOT / "docs" / "viewer.md").read_text("utf-8")))
     assert Path("page.html").stat().st_size > 100_000
+
+
+def test_every_command_of_the_page_on_rendering_runs(my_views):
+    page = (ROOT / "docs" / "render.md").read_text("utf-8")
+    Path("moves.csv").write_text("0,10\n15,20\n")
+    trimesh = pytest.importorskip("trimesh")
+    trimesh.creation.icosphere(2).export("my-model.glb")
+    runs([command for command in commands_in(page) if command.startswith("layerfield")])
+    for block in re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL):
+        exec(compile(block, "render.md", "exec"), {})
 
 
 @pytest.mark.parametrize("name", PAGES)

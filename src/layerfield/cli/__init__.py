@@ -13,6 +13,7 @@ from layerfield.cli.info import info_command
 from layerfield.cli.lists import displays, methods, weights
 from layerfield.cli.options import Force, Out
 from layerfield.cli.process import run
+from layerfield.cli.render import render_command
 from layerfield.cli.report import report_command
 from layerfield.cli.reproduce import reproduce_command
 from layerfield.cli.simulate import simulate_command
@@ -50,6 +51,7 @@ def demo(out: Out = Path("demo"), force: Force = False) -> None:
 
 
 app.command(name="info")(info_command)
+app.command(name="render")(render_command)
 app.command(name="synth")(synth_command)
 app.command(name="simulate")(simulate_command)
 app.command(name="evaluate")(evaluate_command)

@@ -6,7 +6,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from secrets import token_hex
 
-_OURS = ("result.json", "design.json", "figures.json")  # files that only this program writes
+# Files that only this program writes.
+_OURS = ("result.json", "design.json", "figures.json", "render.json")
 
 
 @contextmanager
@@ -73,6 +74,17 @@ def refuse_existing(path: str | Path, *, force: bool = False) -> None:
     path = Path(path)
     with _one_line_errors(path):
         _refuse_directory(path, force)
+
+
+def put_in_place(made: Path, path: Path, *, force: bool = False) -> None:
+    """Give a complete folder its name; one of that name stays until then.
+
+    Raises:
+        ValueError: as `refuse_existing` does, or it cannot be renamed.
+    """
+    with _one_line_errors(path):
+        _refuse_directory(path, force)
+        _move_in(made, path)
 
 
 def _beside(path: Path) -> Path:

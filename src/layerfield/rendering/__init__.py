@@ -1,0 +1,1 @@
+"""Light fields rendered from 3D models."""

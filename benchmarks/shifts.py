@@ -57,7 +57,8 @@ def main(out: Path, methods: Sequence[str]) -> None:
                 psnr = {n: round(likeness(layers[0], layers[n], n, border), 2) for n in SHIFTS}
                 rows.append({"display": preset, "method": name, "border": border, "psnr": psnr})
                 print(preset, name, border, psnr, flush=True)
-            facts = {"command": "python benchmarks/shifts.py OUT.json", "size": SIZE, "seed": SEED}
+            command = f"python benchmarks/shifts.py OUT.json --methods {','.join(methods)}"
+            facts = {"command": command, "size": SIZE, "seed": SEED}
             record = facts | {"made_with": provenance(torch.device("cpu")), "rows": rows}
             with whole_file(out, force=True) as path:
                 path.write_text(json.dumps(record, indent=1), encoding="utf-8")

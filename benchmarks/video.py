@@ -28,6 +28,7 @@ from layerfield import (
     synthesize,
     synthesize_frames,
 )
+from layerfield.io import whole_file
 from layerfield.motion import block_motion, moved
 from layerfield.provenance import provenance
 from layerfield.scenes import animated, make_scene, panned, render, travelled
@@ -221,7 +222,8 @@ def main(out: Path, names: list[str], car_folder: Path | None) -> None:
         judged = Judged.of(parts[name](), SHOWN, EVERY.get(name, 2))
         found[name] = figures(judged)
         print(told(name, found[name]), flush=True)
-        out.write_text(json.dumps(record, indent=1) + "\n", "utf-8")
+        with whole_file(out, force=True) as temporary:
+            temporary.write_text(json.dumps(record, indent=1) + "\n", "utf-8")
 
 
 if __name__ == "__main__":

@@ -94,8 +94,7 @@ class LearnedAdmm:
             after = self.after.step(problem, known)
             return LearnedState(after.shadow, None, state.count, after)
         constants = self.full[state.count]
-        data = problem.gram.band(state.shadow.clamp(*problem.bounds))
-        problem.gram.from_torus(data).add_(problem.back_projected)
+        data = completed(problem, state.shadow)
         spectral, bounds = problem.gram.spectral, problem.bounds
         if state.count == 0:
             return LearnedState(self._first(spectral, data, bounds), None, 1)
@@ -130,6 +129,15 @@ class LearnedAdmm:
             moved = after_step(coarser, data, shadow, before, constants, bounds)
             shadow, before = moved, shadow
         return torch.fft.rfft2(shadow).mul_(COARSE**2)
+
+
+def completed(
+    problem: Problem, shadow: Float[Tensor, "*batch 1 layer c ty tx"]
+) -> Float[Tensor, "*batch 1 layer c ty tx"]:
+    """Return b: A^T W L, and around the views what the layers of a state show there."""
+    data = problem.gram.band(shadow.clamp(*problem.bounds))
+    problem.gram.from_torus(data).add_(problem.back_projected)
+    return data
 
 
 def coarse_grid(spectral: Spectral) -> Spectral | None:

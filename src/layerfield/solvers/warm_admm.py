@@ -8,7 +8,7 @@ from torch import Tensor
 
 from layerfield.motion import moved
 from layerfield.solve import Problem
-from layerfield.solvers.learned_admm import Constants, LearnedState, after_step
+from layerfield.solvers.learned_admm import Constants, LearnedState, after_step, completed
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,11 +35,9 @@ class WarmAdmm:
         return LearnedState(problem.gram.to_torus(problem.even_start() if start is None else start))
 
     def step(self, problem: Problem, state: LearnedState) -> LearnedState:
-        gram, bounds = problem.gram, problem.bounds
-        data = gram.band(state.shadow.clamp(*bounds))
-        gram.from_torus(data).add_(problem.back_projected)
+        data, spectral = completed(problem, state.shadow), problem.gram.spectral
         constants = self.full[min(state.count, len(self.full) - 1)]
-        after = after_step(gram.spectral, data, state.shadow, state.before, constants, bounds)
+        after = after_step(spectral, data, state.shadow, state.before, constants, problem.bounds)
         return LearnedState(after, state.shadow, state.count + 1)
 
     def layers(

@@ -48,27 +48,16 @@ class LearnedSteps(nn.Module):
         self, problem: Problem, state: Float[Tensor, "*batch 1 layer c ly lx"]
     ) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         """Return s after all full steps from a state; see `WarmAdmm`."""
-        gram, bounds = problem.gram, problem.bounds
-        back, shadow, before = gram.to_torus(problem.back_projected), gram.to_torus(state), None
-        for row in _real(self.full):
-            data = back + _Band.apply(shadow.clamp(*bounds), gram)
-            after = _moved(gram.spectral, data, shadow, before, row, bounds)
-            shadow, before = after, shadow
-        return gram.from_torus(shadow)
+        gram = problem.gram
+        return gram.from_torus(_steps(problem, gram.to_torus(state), _real(self.full)))
 
     def forward(self, problem: Problem) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         """Return the layers of a problem whose link is a sum, in the bounds of the problem."""
         gram, bounds = problem.gram, problem.bounds
-        back = gram.to_torus(problem.back_projected)
         full, coarse = _real(self.full), _real(self.coarse)
-        shadow = gram.to_torus(problem.even_start())
-        data = back + _Band.apply(shadow.clamp(*bounds), gram)
-        shadow, before = _first(gram.spectral, data, full[0], coarse, bounds), None
-        for row in full[1:]:
-            data = back + _Band.apply(shadow.clamp(*bounds), gram)
-            moved = _moved(gram.spectral, data, shadow, before, row, bounds)
-            shadow, before = moved, shadow
-        return gram.from_torus(shadow).clamp(*bounds)
+        data = _completed(problem, gram.to_torus(problem.even_start()))
+        shadow = _first(gram.spectral, data, full[0], coarse, bounds)
+        return gram.from_torus(_steps(problem, shadow, full[1:])).clamp(*bounds)
 
 
 def squares(problem: Problem, layers: Tensor) -> Float[Tensor, " batch"]:
@@ -78,6 +67,22 @@ def squares(problem: Problem, layers: Tensor) -> Float[Tensor, " batch"]:
         residual = problem.view(layers, i) - problem.light(i)
         total = total + weight * residual.square().mean(dim=(-3, -2, -1))
     return total / sum(problem.weights)
+
+
+def _steps(problem: Problem, shadow: Tensor, rows: Tensor) -> Tensor:
+    """Return s after a step for every row of constants."""
+    spectral, before = problem.gram.spectral, None
+    for row in rows:
+        data = _completed(problem, shadow)
+        shadow, before = _moved(spectral, data, shadow, before, row, problem.bounds), shadow
+    return shadow
+
+
+def _completed(problem: Problem, shadow: Tensor) -> Tensor:
+    """Return what `completed` does."""
+    gram = problem.gram
+    band = _Band.apply(shadow.clamp(*problem.bounds), gram)
+    return gram.to_torus(problem.back_projected) + band
 
 
 def _start(steps: int) -> Tensor:

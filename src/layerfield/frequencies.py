@@ -25,21 +25,22 @@ class Spectral:
         self, symbol: Inexact[Tensor, "layer layer fy fx"], torus: tuple[int, int], weight: float
     ) -> None:
         self.symbol, self.torus, self.weight = symbol, torus, weight
-        self._kept: dict[tuple[float, float], Tensor] = {}
+        self._kept: dict[tuple[float, ...], Tensor] = {}
         self._coarser: dict[int, Spectral] = {}
 
-    def resolvent(self, penalty: float, balance: float) -> Tensor:
-        """Return 2 rho (G + rho I)^-1 for `multiply`, rho = penalty times the weight of all views.
+    def resolvent(self, penalty: float, balance: float, gain: float = 1.0) -> Tensor:
+        """Return g rho (G + rho I)^-1 for `multiply`, rho = penalty times the weight of all views.
 
         Computed once for a penalty: it depends on the display alone.
 
         Args:
             penalty: share of the weight.
             balance: share of it, too: of b (I - 1/K), which is added to G at frequency zero.
+            gain: g.
         """
-        key = (penalty, balance)
+        key = (penalty, balance, gain)
         if key not in self._kept:
-            found = resolvent(self, penalty, balance)
+            found = resolvent(self, penalty, balance, gain)
             if sum(map(_size, self._kept.values())) + _size(found) > _MOST_KEPT:
                 self._kept.clear()
             self._kept[key] = found
@@ -66,13 +67,13 @@ class Spectral:
         return along_y[:, None] * along_x
 
 
-def resolvent(spectral: Spectral, penalty: float, balance: float) -> Tensor:
+def resolvent(spectral: Spectral, penalty: float, balance: float, gain: float = 1.0) -> Tensor:
     """Return what `Spectral.resolvent` keeps."""
     rho, matrix = penalty * spectral.weight, spectral.symbol.clone()
     identity = torch.eye(len(matrix), dtype=matrix.dtype, device=matrix.device)
     matrix += rho * identity[:, :, None, None]
     matrix[:, :, 0, 0] += balance * spectral.weight * (identity - 1 / len(matrix))
-    return interleaved(2 * rho * inverse(matrix))
+    return interleaved(gain * rho * inverse(matrix))
 
 
 def low(

@@ -60,7 +60,7 @@ class FourierAdmm:
         shadow = problem.gram.to_torus(problem.even_start() if start is None else start)
         if start is not None:
             shadow = shadow + _dual(problem, shadow, rho)
-        resolvent = problem.gram.spectral.resolvent(penalty, self.balance)
+        resolvent = problem.gram.spectral.resolvent(penalty, self.balance, gain=2)
         return AdmmState(shadow, resolvent, rho)
 
     def step(self, problem: Problem, state: AdmmState) -> AdmmState:

@@ -93,12 +93,9 @@ class LearnedAdmm:
             assert known is not None
             after = self.after.step(problem, known)
             return LearnedState(after.shadow, None, state.count, after)
-        constants = self.full[state.count]
-        data = completed(problem, state.shadow)
-        spectral, bounds = problem.gram.spectral, problem.bounds
         if state.count == 0:
-            return LearnedState(self._first(spectral, data, bounds), None, 1)
-        moved = after_step(spectral, data, state.shadow, state.before, constants, bounds)
+            return LearnedState(self._first(problem, state.shadow), None, 1)
+        moved = after_step(problem, state.shadow, state.before, self.full[state.count])
         return LearnedState(moved, state.shadow, state.count + 1)
 
     def layers(
@@ -106,16 +103,19 @@ class LearnedAdmm:
     ) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         return problem.gram.from_torus(state.shadow).clamp(*problem.bounds)
 
-    def _first(self, spectral: Spectral, data: Tensor, bounds: tuple[float, float]) -> Tensor:
-        constants, share = self.full[0], 1 / (spectral.weight * len(spectral.symbol))
+    def _first(self, problem: Problem, shadow: Tensor) -> Tensor:
+        constants, spectral = self.full[0], problem.gram.spectral
+        share = 1 / (spectral.weight * len(spectral.symbol))
         a, rho = constants.relaxation, constants.penalty * spectral.weight
+        data = torch.zeros_like(shadow)
+        add_completed_(problem, data, shadow.clamp(*problem.bounds))
         seen = torch.fft.rfft2(data)
         # z + a (x - z) with z = share b, u = 0
-        spectrum = multiply(spectral.resolvent(constants.penalty, BALANCE), seen)
-        spectrum.mul_(a * (1 / rho + share) / 2).add_(seen, alpha=(1 - a) * share)
+        forward = spectral.resolvent(constants.penalty, BALANCE, gain=a * (1 / rho + share))
+        spectrum = multiply(forward, seen).add_(seen, alpha=(1 - a) * share)
         coarser = coarse_grid(spectral)
         if coarser is not None and self.coarse:
-            solved = self._solved_coarsely(coarser, low_part(seen, coarser), bounds)
+            solved = self._solved_coarsely(coarser, low_part(seen, coarser), problem.bounds)
             replace_low_part_(spectrum, solved, coarser)
         return torch.fft.irfft2(spectrum, s=spectral.torus)
 
@@ -126,18 +126,36 @@ class LearnedAdmm:
         data = torch.fft.irfft2(seen, s=coarser.torus).div_(COARSE**2)
         shadow, before = data / (coarser.weight * len(coarser.symbol)), None
         for constants in self.coarse:
-            moved = after_step(coarser, data, shadow, before, constants, bounds)
+            iterate = shadow.clamp(*bounds)
+            right = torch.lerp(iterate, shadow, -constants.trust)
+            right.add_(data, alpha=1 / (constants.penalty * coarser.weight))
+            moved = _moved(coarser, right, iterate, shadow, before, constants)
             shadow, before = moved, shadow
         return torch.fft.rfft2(shadow).mul_(COARSE**2)
 
 
-def completed(
-    problem: Problem, shadow: Float[Tensor, "*batch 1 layer c ty tx"]
+def after_step(
+    problem: Problem,
+    shadow: Float[Tensor, "*batch 1 layer c ty tx"],
+    before: Float[Tensor, "*batch 1 layer c ty tx"] | None,
+    constants: Constants,
 ) -> Float[Tensor, "*batch 1 layer c ty tx"]:
-    """Return b: A^T W L, and around the views what the layers of a state show there."""
-    data = problem.gram.band(shadow.clamp(*problem.bounds))
-    problem.gram.from_torus(data).add_(problem.back_projected)
-    return data
+    """Return s after a step."""
+    spectral, iterate = problem.gram.spectral, shadow.clamp(*problem.bounds)
+    right = torch.lerp(iterate, shadow, -constants.trust)
+    add_completed_(problem, right, iterate, 1 / (constants.penalty * spectral.weight))
+    return _moved(spectral, right, iterate, shadow, before, constants)
+
+
+def add_completed_(
+    problem: Problem,
+    result: Float[Tensor, "*batch 1 layer c ty tx"],
+    iterate: Float[Tensor, "*batch 1 layer c ty tx"],
+    factor: float = 1.0,
+) -> None:
+    """Add a multiple of b: A^T W L, and around the views what layers show there."""
+    problem.gram.from_torus(result).add_(problem.back_projected, alpha=factor)
+    problem.gram.add_band_(result, iterate, factor)
 
 
 def coarse_grid(spectral: Spectral) -> Spectral | None:
@@ -146,22 +164,19 @@ def coarse_grid(spectral: Spectral) -> Spectral | None:
     return coarser if min(coarser.torus) >= _LEAST else None
 
 
-def after_step(
+def _moved(
     spectral: Spectral,
-    data: Tensor,
+    right: Tensor,
+    iterate: Tensor,
     shadow: Tensor,
     before: Tensor | None,
     constants: Constants,
-    bounds: tuple[float, float],
 ) -> Tensor:
-    """Return s after a step."""
-    rho, trust, kept = constants.penalty * spectral.weight, constants.trust, constants.kept
-    iterate = shadow.clamp(*bounds)
-    # (b + rho (z - trust u)) / (2 rho), z - trust u = (1 + trust) z - trust s
-    right = torch.lerp(iterate, shadow, -trust).mul_(0.5).add_(data, alpha=1 / (2 * rho))
-    spectrum = multiply(spectral.resolvent(constants.penalty, BALANCE), torch.fft.rfft2(right))
-    moved = torch.fft.irfft2(spectrum, s=spectral.torus).sub_(iterate)
-    torch.add(iterate.lerp_(shadow, kept), moved, alpha=constants.relaxation, out=moved)
-    if before is not None:
-        moved.add_(shadow, alpha=constants.momentum).sub_(before, alpha=constants.momentum)
-    return moved
+    """Return s after a step, from z - trust u + b / rho."""
+    a, kept = constants.relaxation, constants.kept
+    momentum = 0.0 if before is None else constants.momentum
+    resolvent = spectral.resolvent(constants.penalty, BALANCE, gain=a)
+    moved = torch.fft.irfft2(multiply(resolvent, torch.fft.rfft2(right)), s=spectral.torus)
+    # a x + (1 - a) z + kept (s - z) + momentum (s - s of one step ago)
+    moved.add_(iterate, alpha=1 - a - kept).add_(shadow, alpha=kept + momentum)
+    return moved if before is None else moved.sub_(before, alpha=momentum)

@@ -83,7 +83,7 @@ class TiledAdmm(FourierAdmm):
         rho, whole = penalty * sum(weights), gram.torus
         tile = (_tile_length(whole[0], self.size), _tile_length(whole[1], self.size))
         symbol = symbol_of(gram.projection, weights, tile, problem.views.like)
-        resolvent = Spectral(symbol, tile, sum(weights)).resolvent(penalty, balance=0)
+        resolvent = Spectral(symbol, tile, sum(weights)).resolvent(penalty, balance=0, gain=2)
         reach = [
             0 if tile[axis] == whole[axis] else _reach(resolvent, tile, axis, self.rest)
             for axis in range(2)

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from layerfield.motion import moved
 from layerfield.solve import Problem
-from layerfield.solvers.learned_admm import Constants, LearnedState, after_step, completed
+from layerfield.solvers.learned_admm import Constants, LearnedState, after_step
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,9 +35,8 @@ class WarmAdmm:
         return LearnedState(problem.gram.to_torus(problem.even_start() if start is None else start))
 
     def step(self, problem: Problem, state: LearnedState) -> LearnedState:
-        data, spectral = completed(problem, state.shadow), problem.gram.spectral
         constants = self.full[min(state.count, len(self.full) - 1)]
-        after = after_step(spectral, data, state.shadow, state.before, constants, problem.bounds)
+        after = after_step(problem, state.shadow, state.before, constants)
         return LearnedState(after, state.shadow, state.count + 1)
 
     def layers(

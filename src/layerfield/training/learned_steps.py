@@ -145,7 +145,7 @@ def _solved(spectral: Spectral, spectrum: Tensor, penalty: Tensor) -> Tensor:
     """Return (G + rho I)^-1 spectrum."""
     rho = penalty * spectral.weight
     matrix = resolvent(spectral, penalty.item(), BALANCE)
-    return _Solve.apply(spectrum, rho, matrix) / (2 * rho)
+    return _Solve.apply(spectrum, rho, matrix) / rho
 
 
 class _Band(torch.autograd.Function):
@@ -162,7 +162,7 @@ class _Band(torch.autograd.Function):
 
 
 class _Solve(torch.autograd.Function):
-    """R S with R = 2 rho (G + rho I)^-1, hence dR / d rho = R / rho - R^2 / (2 rho); R = R^H."""
+    """R S with R = rho (G + rho I)^-1, hence dR / d rho = (R - R^2) / rho; R = R^H."""
 
     @staticmethod
     def forward(ctx: Any, spectrum: Tensor, rho: Tensor, matrix: Tensor) -> Tensor:
@@ -173,5 +173,5 @@ class _Solve(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, slope: Tensor) -> tuple[Tensor, Tensor, None]:  # pyright: ignore
         product, rho, matrix = ctx.saved_tensors
-        by_rho = (product - multiply(matrix, product) / 2) / rho
+        by_rho = (product - multiply(matrix, product)) / rho
         return multiply(matrix, slope), (slope.conj() * by_rho).real.sum(), None

@@ -31,6 +31,11 @@ displays = [
 scenes = 2
 size = 48
 iterations = 6
+[[then]]
+size = 64
+scenes = 1
+iterations = 2
+rate = 0.01
 """
 
 
@@ -195,6 +200,7 @@ def test_steps_are_trained_by_a_command_that_goes_on_where_it_was_stopped(tmp_pa
         (("[1.0, -1.0]", "[-1.0, 1.0]"), "layer depths must decrease"),
         (("[1.0, -1.0]", "[nan, 1.0]"), "finite"),
         (("[1.0, -1.0]", "[]"), "disparity"),
+        (("size = 64", "size = 6"), "then[0].size"),
     ],
 )
 def test_a_wrong_recipe_of_steps_is_one_line(tmp_path, monkeypatch, change, said):

@@ -69,19 +69,18 @@ def lessons(recipe: StepsRecipe, posed: list[Problem] | list[Film]) -> list[Less
 
 
 def learn(
-    recipe: StepsRecipe, steps: int, given: list[Lesson], tick: Callable[[int], None]
-) -> LearnedSteps:
-    """Return constants for a number of steps.
+    recipe: StepsRecipe, model: LearnedSteps, given: list[Lesson], tick: Callable[[int], None]
+) -> None:
+    """Learn the constants of a model in one stage.
 
     Minimised is the mean logarithm of the mean square errors of scenes, PSNR but for its sign.
 
     Args:
-        recipe: how.
-        steps: how many full steps.
+        recipe: how; of the stage.
+        model: the constants to begin with, and then what was learned.
         given: to train on, one after the other.
         tick: called with the number of iterations done.
     """
-    model = LearnedSteps(steps, recipe.coarse)
     optimiser = torch.optim.Adam(model.parameters(), lr=recipe.rate)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, recipe.iterations)
     for done, lesson in enumerate(islice(cycle(given), recipe.iterations)):
@@ -91,7 +90,6 @@ def learn(
         loss.backward()
         optimiser.step()
         schedule.step()
-    return model
 
 
 def shown_by(
@@ -141,11 +139,13 @@ def train_steps(run: StepsRun) -> dict[str, Any]:
     """
     open_run(run.out, resume=run.resume, force=run.force)
     tensors, seconds = _known(run) if run.resume else ({}, 0.0)
-    posed = examples(run.recipe, "training")
+    posed = [(stage, examples(stage, "training")) for stage in run.recipe.stages]
     for n, steps in enumerate(run.recipe.steps):
         if f"{steps}.full" not in tensors:
             began = time.monotonic()
-            model = learn(run.recipe, steps, lessons(run.recipe, posed), _ticker(run, n))
+            model = LearnedSteps(steps, run.recipe.coarse)
+            for k, (stage, given) in enumerate(posed):
+                learn(stage, model, lessons(stage, given), _ticker(run, n, k))
             seconds += time.monotonic() - began
             tensors |= {f"{steps}.{key}": value.detach() for key, value in model.named_parameters()}
             facts = {"recipe": run.recipe.model_dump(mode="json"), "seconds": seconds}
@@ -185,15 +185,22 @@ def _model(recipe: StepsRecipe, steps: int, tensors: dict[str, Tensor]) -> Learn
     return model
 
 
-def _ticker(run: StepsRun, finished: int) -> Callable[[int], None]:
-    """Return what tells how far a training is; longer runs of steps take longer."""
+def _ticker(run: StepsRun, number: int, stage: int) -> Callable[[int], None]:
+    """Return what tells how far a training is; more steps on more pixels take longer."""
     recipe = run.recipe
-    work = [number + recipe.sweeps for number in recipe.steps]
+    pixels = [each.scenes * each.size**2 for each in recipe.stages]
+    work = [
+        (count + recipe.sweeps) * each * part.iterations
+        for count in recipe.steps
+        for part, each in zip(recipe.stages, pixels, strict=True)
+    ]
+    at = number * len(pixels) + stage
 
     def tick(done: int) -> None:
         if run.tick is not None:
-            share = (sum(work[:finished]) + work[finished] * done / recipe.iterations) / sum(work)
-            run.tick(f"{recipe.name}, {recipe.steps[finished]} steps", int(100 * share))
+            part = work[at] * done / recipe.stages[stage].iterations
+            share = (sum(work[:at]) + part) / sum(work)
+            run.tick(f"{recipe.name}, {recipe.steps[number]} steps", int(100 * share))
 
     return tick
 
@@ -206,7 +213,7 @@ def _figures(
 
     Of videos, that is the last frame; the direct solver has none before it.
     """
-    posed = examples(recipe, purpose)
+    posed = examples(recipe.stages[-1], purpose)
     frames = [each.frames[-1] if isinstance(each, Film) else each for each in posed]
     moving = [each for each in posed if isinstance(each, Film)]
 

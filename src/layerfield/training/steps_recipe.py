@@ -10,6 +10,8 @@ from layerfield.display_spec import Depths, DisparitySpec
 from layerfield.toml_model import validated
 from layerfield.training.recipe import Count, Positive, Table, recipe_data
 
+Size = Annotated[int, Field(strict=True, ge=48)]
+
 
 class Grid(Table):
     """A display to train on: as in a display file.
@@ -34,6 +36,15 @@ class Grid(Table):
         return Display(validated(DisparitySpec, facts, f"{rows}x{columns} views"))
 
 
+class Stage(Table):
+    """A further stage of a training, on scenes of another size; arguments as of `StepsRecipe`."""
+
+    size: Size
+    scenes: Count
+    iterations: Count
+    rate: Positive
+
+
 class StepsRecipe(Table):
     """Everything that a training of learned steps depends on.
 
@@ -53,6 +64,8 @@ class StepsRecipe(Table):
         gammas: the lowest and the highest exponent of their values.
         iterations: of the optimiser, Adam, for every number of steps.
         rate: the highest, which falls to 0 along half a cosine.
+        then: further stages, which go on from what was learned: constants are found sooner on many
+            small scenes, but light of the lowest frequencies is only in large ones.
         seed: of scenes.
     """
 
@@ -67,12 +80,19 @@ class StepsRecipe(Table):
     frames: Count = 1
     displays: Annotated[tuple[Grid, ...], Field(min_length=1)]
     scenes: Count = 6
-    size: Annotated[int, Field(strict=True, ge=48)] = 96
+    size: Size = 96
     stretch: tuple[Positive, Positive] = (0.6, 2.5)
     gammas: tuple[Positive, Positive] = (1.0, 2.2)
     iterations: Count = 300
     rate: Positive = 0.02
+    then: tuple[Stage, ...] = ()
     seed: Annotated[int, Field(strict=True, ge=0, le=255)] = 0
+
+    @property
+    def stages(self) -> list["StepsRecipe"]:
+        """The recipe of every stage."""
+        alone = self.model_copy(update={"then": ()})
+        return [alone, *(alone.model_copy(update=stage.model_dump()) for stage in self.then)]
 
     @model_validator(mode="after")
     def _each_once(self):

@@ -69,8 +69,8 @@ def test_lower_rooms_do_not_import_higher_ones():
         "solvers", "panel_images", "networks", "metrics", "provenance", "scenes", "io", "rendering",
         "eyes", "animation", "plane_sweep", "disparity", "weights", "methods", "fast",
         "synthesizer", "stream", "reference", "evaluate", "remarks", "observers", "stored_result",
-        "result", "spectrum", "design", "training", "report", "bench", "viewer", "demo",
-        "reproduction", "cli", "__main__",
+        "result", "simulation", "spectrum", "design", "training", "report", "bench", "viewer",
+        "demo", "reproduction", "cli", "__main__",
     ]  # fmt: skip
     source = ROOT / "src" / "layerfield"
     for file in source.rglob("*.py"):
@@ -218,6 +218,11 @@ def test_every_command_of_the_page_on_eyes_runs(tmp_path, monkeypatch, quick_ref
     runs(commands_in(page))
     for block in re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL):
         exec(compile(block, "eyes.md", "exec"), {})
+
+
+def test_every_command_of_the_page_on_converting_runs(my_views):
+    runs(commands_in((ROOT / "docs" / "convert.md").read_text("utf-8")))
+    assert layerfield.load_light_field("row_qs5x1.png").grid == (1, 5)
 
 
 def test_every_command_of_the_page_on_reports_runs(my_views):

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from layerfield.cli.bench import bench_command
+from layerfield.cli.convert import convert_command
 from layerfield.cli.design import design_command
 from layerfield.cli.evaluate import evaluate_command
 from layerfield.cli.info import info_command
@@ -52,6 +53,7 @@ def demo(out: Out = Path("demo"), force: Force = False) -> None:
 
 app.command(name="info")(info_command)
 app.command(name="render")(render_command)
+app.command(name="convert")(convert_command)
 app.command(name="synth")(synth_command)
 app.command(name="simulate")(simulate_command)
 app.command(name="evaluate")(evaluate_command)

@@ -67,7 +67,7 @@ def test_lower_rooms_do_not_import_higher_ones():
         "frequencies", "gram", "display_constants", "links", "composition", "transfer",
         "panel_spec", "display_spec", "display", "panels", "motion", "solve", "between", "tone",
         "solvers", "panel_images", "networks", "metrics", "provenance", "scenes", "io", "rendering",
-        "eyes", "animation", "plane_sweep", "disparity", "weights", "methods", "fast",
+        "rgbd", "eyes", "animation", "plane_sweep", "disparity", "weights", "methods", "fast",
         "synthesizer", "stream", "reference", "evaluate", "remarks", "observers", "stored_result",
         "result", "simulation", "spectrum", "design", "training", "report", "bench", "viewer",
         "demo", "reproduction", "cli", "__main__",

@@ -7,14 +7,14 @@ from typing import Annotated, Any
 import typer
 
 from layerfield.cli.options import Bits, DisplayName, Force, Out
-from layerfield.cli.refusals import keep_inputs, own_file
+from layerfield.cli.refusals import depth_asked, keep_inputs, own_file
 from layerfield.cli.terminal import say, status
 from layerfield.display import Display
 from layerfield.io import refuse_existing
 from layerfield.panels import largest_code
 from layerfield.rendering.job import Job, Quality, render_light_field
 from layerfield.rendering.opening import SAMPLE, fingerprint, is_mitsuba, open_scene
-from layerfield.rendering.placement import Fit, Pose, in_disparities
+from layerfield.rendering.placement import Fit, Pose
 from layerfield.rendering.poses import read_poses, turntable
 from layerfield.rendering.remarks import remarks
 from layerfield.rendering.variant import choose_variant, refuse_missing_extra
@@ -113,7 +113,7 @@ def render_command(
         seed=seed,
         maps=maps,
     )
-    asked = Fit(share=fit, scale=scale, depth=_depth(target, depth_mm, depth_px))
+    asked = Fit(share=fit, scale=scale, depth=depth_asked(target, depth_mm, depth_px))
     looked = (0.0 if is_mitsuba(scene) else _ELEVATION) if elevation is None else elevation
     poses = _poses(Pose(azimuth, looked), turns, path)
     if not resume:
@@ -148,18 +148,6 @@ def _parse_size(text: str) -> tuple[int, int]:
     if match is None:
         raise ValueError(f"size is '{text}', expected WxH in pixels, as 512x384")
     return int(match[2]), int(match[1])
-
-
-def _depth(display: Display, millimetres: Number, pixels: Number) -> Number:
-    """The depth in the unit that the display counts in."""
-    counts_pixels = in_disparities(display)
-    wrong = millimetres if counts_pixels else pixels
-    if wrong is not None:
-        kind, right = ("px of disparity", "px") if counts_pixels else ("mm", "mm")
-        raise ValueError(
-            f"the depth of display '{display.name}' is in {kind}; give --depth-{right} instead"
-        )
-    return pixels if counts_pixels else millimetres
 
 
 def _poses(start: Pose, turns: int | None, path: Path | None) -> tuple[Pose, ...]:

@@ -2,9 +2,9 @@
 
     python benchmarks/rgbd.py OUT.json [FIELD] [--figure OUT.webp]
 
-Procedural scenes of 384x512, 5x5 views, disparities -1 to 1: PSNR of all views from the middle one and
-the exact disparities, from these blurred by 2 px and rounded to 8 bits, and of the middle view in
-place of all of them. FIELD is what `layerfield render --depth` made; it is judged, and drawn, too.
+Procedural scenes of 384x512, 5x5 views, disparities -1 to 1: PSNR of all views that are made of the
+middle one and the exact disparities, or of these blurred by 2 px and rounded to 8 bits; and of the
+middle view in place of all. FIELD is what `layerfield render --depth` made: judged, and drawn.
 """
 
 import argparse
@@ -92,7 +92,7 @@ def _fitted(picture: Tensor, size: torch.Size) -> Tensor:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("out", type=Path)
     parser.add_argument("field", type=Path, nargs="?")
     parser.add_argument("--figure", type=Path)

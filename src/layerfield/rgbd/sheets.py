@@ -4,6 +4,7 @@ Disparity d is in pixels per unit of slope, larger is nearer, as the eye in the 
 `scenes`): what it has at u another eye of slope s has at x = u - s d(u).
 """
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -107,19 +108,25 @@ def with_edges(disparity: Float[Tensor, "y x"], tear: float) -> Float[Tensor, "y
 def beneath(sheet: Sheet, width: int) -> Sheet:
     """Return a sheet whose far surfaces go on beneath the near ones at their edges.
 
-    Pixel by pixel inward from an edge, a pixel takes the mean of those neighbours that are behind.
+    Pixel by pixel inward from an edge, a pixel takes the mean of those neighbours that are next
+    behind it, once.
 
     Args:
         sheet: what the eye in the middle sees.
         width: pixels to go on.
     """
     both = torch.cat([sheet.picture, sheet.disparity[None]])
+    own = torch.ones_like(sheet.disparity, dtype=torch.bool)
     for _ in range(width):
         around = _neighbours(both)
-        behind = around[:, -1].amin(0)
-        farthest = (around[:, -1] <= behind + sheet.tear)[:, None]
-        mean = (around * farthest).sum(0) / farthest.sum(0)
-        both = torch.where(behind < both[-1] - sheet.tear, mean, both)
+        level = around[:, -1]
+        behind = level < both[-1] - sheet.tear
+        next_behind = level.where(behind, -math.inf).amax(0)
+        taken = (behind & (level >= next_behind - sheet.tear))[:, None]
+        mean = (around * taken).sum(0) / taken.sum(0).clamp(min=1)
+        changed = own & behind.any(0)
+        both = torch.where(changed, mean, both)
+        own &= ~changed
     return Sheet(both[:-1], both[-1], sheet.tear)
 
 

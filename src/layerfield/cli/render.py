@@ -14,7 +14,7 @@ from layerfield.io import refuse_existing
 from layerfield.rendering.job import Job, render_light_field
 from layerfield.rendering.opening import SAMPLE, fingerprint, open_scene
 from layerfield.rendering.remarks import remarks
-from layerfield.rendering.variant import choose_variant, refuse_missing_extra
+from layerfield.rendering.variant import choose_variant, refuse_missing_extra, start_trial
 
 _SCENE = f"model (.glb, .gltf, .obj, .ply, .stl), Mitsuba scene (.xml), or '{SAMPLE}'"
 
@@ -40,10 +40,11 @@ def render_command(
     if not resume:
         refuse_existing(out, force=force)
     keep_inputs(out, None if scene == SAMPLE else scene, own_file(display), moves.path)
+    trial = start_trial()
     refuse_missing_extra()
     with status(total=len(poses) * target.view_count) as tick:
         tick("starting", 0)
-        variant = choose_variant()
+        variant = choose_variant(trial)
         tick("reading", 0)
         source = open_scene(scene, up=place.up, ground=place.ground)
         job = Job(source=source, display=target, poses=poses, fit=fit, quality=asked)

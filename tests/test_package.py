@@ -9,12 +9,14 @@ import venv
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 from test_cli import run
 
 import layerfield
 from layerfield import DisparitySpec, Display, PhysicalSpec, preset_names
 from layerfield.display_spec import format_spec, parse_spec
+from layerfield.io import write_png
 from layerfield.result import write_views
 from layerfield.training.recipe import read_recipe
 from layerfield.training.steps_recipe import read_steps_recipe
@@ -67,10 +69,10 @@ def test_lower_rooms_do_not_import_higher_ones():
         "frequencies", "gram", "display_constants", "links", "composition", "transfer",
         "panel_spec", "display_spec", "display", "panels", "motion", "solve", "between", "tone",
         "solvers", "panel_images", "networks", "metrics", "provenance", "scenes", "io", "rendering",
-        "eyes", "animation", "plane_sweep", "disparity", "weights", "methods", "fast",
+        "rgbd", "eyes", "animation", "plane_sweep", "disparity", "weights", "methods", "fast",
         "synthesizer", "stream", "reference", "evaluate", "remarks", "observers", "stored_result",
-        "result", "spectrum", "design", "training", "report", "bench", "viewer", "demo",
-        "reproduction", "cli", "__main__",
+        "result", "simulation", "spectrum", "design", "training", "report", "bench", "viewer",
+        "demo", "reproduction", "cli", "__main__",
     ]  # fmt: skip
     source = ROOT / "src" / "layerfield"
     for file in source.rglob("*.py"):
@@ -169,8 +171,10 @@ def small_field(grid: tuple[int, int] = (5, 5)) -> layerfield.LightField:
 
 @pytest.fixture
 def my_views(tmp_path, monkeypatch, quick_references):
-    """An empty folder with a light field called `my-views` in it."""
+    """An empty folder with a light field called `my-views`, a photo and its depth map."""
     monkeypatch.chdir(tmp_path)
+    write_png("photo.png", np.arange(40 * 48 * 3, dtype=np.uint8).reshape(3, 40, 48))
+    write_png("depth.png", np.arange(40 * 48, dtype=np.uint16).reshape(1, 40, 48))
     write_views(Path("my-views"), small_field().views, Display.load("additive-3"), 8)
 
 
@@ -218,6 +222,15 @@ def test_every_command_of_the_page_on_eyes_runs(tmp_path, monkeypatch, quick_ref
     runs(commands_in(page))
     for block in re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL):
         exec(compile(block, "eyes.md", "exec"), {})
+
+
+def test_every_command_of_the_page_on_converting_runs(my_views):
+    runs(commands_in((ROOT / "docs" / "convert.md").read_text("utf-8")))
+    assert layerfield.load_light_field("row_qs5x1.png").grid == (1, 5)
+
+
+def test_every_command_of_the_page_on_rgbd_runs(my_views):
+    runs(commands_in((ROOT / "docs" / "rgbd.md").read_text("utf-8")))
 
 
 def test_every_command_of_the_page_on_reports_runs(my_views):

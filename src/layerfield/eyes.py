@@ -18,6 +18,7 @@ from layerfield.metrics import decibels, finite, mean_square_error
 from layerfield.panels import quantise
 
 _FARTHEST = 1e6  # a kilometre; farther eyes come from mistaken units
+_MOST_EYES = 1000
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,22 @@ class Eye:
                 "30,0,450"
             )
         return cls(*display.spec.eye(position))
+
+
+def eyes_in_line(display: Display, count: int) -> list[Eye]:
+    """Return eyes side by side, evenly from the leftmost viewpoint of a display to the rightmost.
+
+    At half the height of the view grid; a single eye is in the middle.
+
+    Raises:
+        ValueError: the viewpoints form no grid, or there are too many eyes.
+    """
+    if count > _MOST_EYES:
+        raise ValueError(f"found {count} eyes side by side, expected at most {_MOST_EYES}")
+    _, columns = display.geometry.grid or (1, 1)
+    step = (columns - 1) / max(count - 1, 1)
+    places = ((i - (count - 1) / 2) * step for i in range(count))
+    return [Eye(display.geometry.slope_at((x, 0.0))) for x in places]
 
 
 def look(

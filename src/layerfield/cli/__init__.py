@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from layerfield.cli.bench import bench_command
+from layerfield.cli.convert import convert_command
 from layerfield.cli.design import design_command
 from layerfield.cli.evaluate import evaluate_command
 from layerfield.cli.info import info_command
@@ -16,6 +17,7 @@ from layerfield.cli.process import run
 from layerfield.cli.render import render_command
 from layerfield.cli.report import report_command
 from layerfield.cli.reproduce import reproduce_command
+from layerfield.cli.rgbd import rgbd_command
 from layerfield.cli.simulate import simulate_command
 from layerfield.cli.synth import synth_command
 from layerfield.cli.terminal import print_tables, say, status
@@ -52,6 +54,8 @@ def demo(out: Out = Path("demo"), force: Force = False) -> None:
 
 app.command(name="info")(info_command)
 app.command(name="render")(render_command)
+app.command(name="rgbd")(rgbd_command)
+app.command(name="convert")(convert_command)
 app.command(name="synth")(synth_command)
 app.command(name="simulate")(simulate_command)
 app.command(name="evaluate")(evaluate_command)

@@ -2,6 +2,7 @@
 
 import inspect
 from collections.abc import Callable
+from dataclasses import fields, is_dataclass
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any
@@ -65,6 +66,36 @@ def with_field_options(command: Callable[..., None]) -> Callable[..., None]:
     wrapper.__signature__ = inspect.Signature([*keyword, *shared])  # pyright: ignore[reportAttributeAccessIssue]
     wrapper.__annotations__ = {p.name: p.annotation for p in [*keyword, *shared]}
     return wrapper
+
+
+def with_grouped_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command options of its own for the fields of dataclasses among its parameters."""
+    own = inspect.signature(command).parameters
+    groups: dict[str, Any] = {
+        name: p.annotation for name, p in own.items() if is_dataclass(p.annotation)
+    }
+
+    @wraps(command)
+    def wrapper(**values: Any) -> None:
+        for name, kind in groups.items():
+            values[name] = kind(**{field.name: values.pop(field.name) for field in fields(kind)})
+        command(**values)
+
+    flat: list[inspect.Parameter] = []
+    for name, parameter in own.items():
+        flat += _as_options(groups[name]) if name in groups else [parameter]
+    keyword = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in flat]
+    wrapper.__signature__ = inspect.Signature(keyword)  # pyright: ignore[reportAttributeAccessIssue]
+    wrapper.__annotations__ = {p.name: p.annotation for p in keyword}
+    return wrapper
+
+
+def _as_options(kind: Any) -> list[inspect.Parameter]:
+    only = inspect.Parameter.KEYWORD_ONLY
+    return [
+        inspect.Parameter(field.name, only, default=field.default, annotation=field.type)
+        for field in fields(kind)
+    ]
 
 
 def recorded(

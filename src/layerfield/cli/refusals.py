@@ -12,6 +12,7 @@ from layerfield.display import Display, preset_names
 from layerfield.io.images import SUFFIXES
 from layerfield.light_field import LightField
 from layerfield.nearest import did_you_mean
+from layerfield.rendering.placement import in_disparities
 
 _DEVICES = ("cpu", "cuda")
 
@@ -57,6 +58,18 @@ def keep_inputs(out: Path, *inputs: str | Path | None) -> None:
 def own_file(display: str | None) -> str | None:
     """Return the file that a display is read from; None for presets."""
     return None if display in preset_names() else display
+
+
+def depth_asked(display: Display, millimetres: float | None, pixels: float | None) -> float | None:
+    """Return the depth in the unit that a display counts in; refuse the other one."""
+    counts_pixels = in_disparities(display)
+    wrong = millimetres if counts_pixels else pixels
+    if wrong is not None:
+        kind, right = ("px of disparity", "px") if counts_pixels else ("mm", "mm")
+        raise ValueError(
+            f"the depth of display '{display.name}' is in {kind}; give --depth-{right} instead"
+        )
+    return pixels if counts_pixels else millimetres
 
 
 def told_apart(loaded: list[LightField], paths: list[str]) -> list[LightField]:

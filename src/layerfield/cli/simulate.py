@@ -15,20 +15,13 @@ from layerfield.cli.refusals import keep_inputs, own_file, refuse_without
 from layerfield.cli.terminal import say, status
 from layerfield.display import Display
 from layerfield.display_spec import format_spec
-from layerfield.eyes import Eye, look, write_eyes
+from layerfield.eyes import Eye, write_eyes
 from layerfield.io import refuse_animation, refuse_existing, write_animation
 from layerfield.panels import largest_code
 from layerfield.remarks import made_for_another_transfer
 from layerfield.result import write_views, write_views_array
-from layerfield.stored_result import (
-    display_of,
-    margin_of,
-    mount,
-    read_layers,
-    read_panels,
-    simulate_panels,
-    view_size_of,
-)
+from layerfield.simulation import mounted, views_shown
+from layerfield.stored_result import display_of, read_layers
 
 _EYE = "X,Y[,Z] in mm, or X,Y in view steps: what an eye there sees; repeatable"
 _VIDEO = "file to make of what a moving eye sees: .mp4, .webp or .gif"
@@ -93,11 +86,11 @@ def simulate_command(
     done = []
     with file_or_nothing(video, force=force) as file, folder_or_nothing(out, force=force) as made:
         if out and made:
-            views = _views(folder, layers, shown_on, eyes, margin)
+            views = views_shown(folder, layers, shown_on, eyes, margin)
             _write_views(made, views, shown_on, eyes, bits, array=array)
             done.append(f"{_count(len(views), 'view')} in {out / 'views'}")
         if file:
-            frames = animate(_mounted(folder, layers, shown_on, margin), shown_on, motion, width)
+            frames = animate(mounted(folder, layers, shown_on, margin), shown_on, motion, width)
             with status(total=len(frames)) as tick:
                 write_animation(file, frames, motion.fps, tick)
             done.append(f"{_count(len(frames), 'frame')} in {video}")
@@ -114,31 +107,6 @@ def _refuse_outputs(out: Path | None, video: Path | None, motion: Sweep, *, forc
         refuse_animation(video, motion.fps)
     if out is not None and video is not None and video.resolve().is_relative_to(out.resolve()):
         raise ValueError(f"{video} lies in {out}, which is made anew; give another name")
-
-
-def _views(
-    folder: Path,
-    layers: Float[Tensor, "subframe layer c ly lx"],
-    display: Display,
-    eyes: Sequence[Eye],
-    margin: int | None,
-) -> Float[Tensor, "view c y x"]:
-    """Return what the panels show, where there are any; else, or to eyes, what the layers show."""
-    panels = read_panels(folder) if display.panels and margin is None and not eyes else []
-    if panels:
-        return simulate_panels(panels, display, view_size_of(folder))
-    mounted = _mounted(folder, layers, display, margin)
-    return display.transfer.encode(look(mounted, display, eyes) if eyes else display(mounted))
-
-
-def _mounted(
-    folder: Path,
-    layers: Float[Tensor, "subframe layer c ly lx"],
-    display: Display,
-    margin: int | None,
-) -> Float[Tensor, "subframe layer c ly2 lx2"]:
-    given = margin_of(folder) if margin is None else (margin, margin)
-    return mount(layers, display, display.margin if given is None else given)
 
 
 def _write_views(

@@ -10,7 +10,7 @@ from layerfield.io.images import Picture, select_channels
 from layerfield.io.options import FieldOptions
 from layerfield.io.stored import Reader, StoredViews, known_grid, refuse_picture_hints
 
-_DATASET = "LF"
+DATASET = "LF"
 
 
 def open_hdf5(path: Path, options: FieldOptions) -> StoredViews:
@@ -27,7 +27,7 @@ def open_hdf5(path: Path, options: FieldOptions) -> StoredViews:
     shape = _from_file(path, lambda dataset: dataset.shape)
     if len(shape) != 5 or 0 in shape:
         raise ValueError(
-            f"/{_DATASET} in {path} has shape {shape}, expected [rows, columns, y, x, channels]"
+            f"/{DATASET} in {path} has shape {shape}, expected [rows, columns, y, x, channels]"
         )
 
     def read(n: int) -> Picture:
@@ -46,7 +46,7 @@ READER = Reader(
 def _from_file(path: Path, take: Any) -> Any:
     try:
         with path.open("rb"), h5py.File(path, "r") as file:
-            dataset = file.get(_DATASET)
+            dataset = file.get(DATASET)
             names = ", ".join(list(file)[:6]) or "nothing"
             return take(dataset) if isinstance(dataset, h5py.Dataset) else _missing(path, names)
     except _NoDatasetError:
@@ -63,4 +63,4 @@ class _NoDatasetError(ValueError):
 
 
 def _missing(path: Path, names: str) -> None:
-    raise _NoDatasetError(f"{path} holds no dataset /{_DATASET} (found {names})")
+    raise _NoDatasetError(f"{path} holds no dataset /{DATASET} (found {names})")

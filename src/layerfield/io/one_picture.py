@@ -1,12 +1,10 @@
 """All views in one picture: an atlas of tiles, a quilt, or a picture taken through lenslets."""
 
-import re
 from pathlib import Path
 
-import numpy as np
-
 from layerfield.io.images import SUFFIXES, Picture, read_picture
-from layerfield.io.options import QUILT_LAYOUT, FieldOptions, Quilt
+from layerfield.io.options import FieldOptions, Quilt
+from layerfield.io.quilt import quilt_in_name, views_of_atlas, views_of_quilt
 from layerfield.io.stored import Reader, StoredViews, known_grid, show
 
 
@@ -29,7 +27,13 @@ def open_atlas(path: Path, options: FieldOptions) -> StoredViews:
             f"{path} is {_size(picture)}, which {show((rows, columns))} equal tiles do not divide; "
             "check the grid (rows x columns)"
         )
-    return _cut(picture, (rows, columns), options, path)
+    tiles = views_of_atlas(picture.pixels, columns, rows)
+
+    def read(n: int) -> Picture:
+        return Picture(tiles[n // columns, n % columns], picture.notes)
+
+    grid = known_grid((rows, columns), options, str(path))
+    return StoredViews(grid, read, lambda n: f"tile {n} of {path.name}")
 
 
 def open_quilt(path: Path, options: FieldOptions) -> StoredViews:
@@ -42,19 +46,19 @@ def open_quilt(path: Path, options: FieldOptions) -> StoredViews:
         ValueError: more tiles than pixels.
     """
     picture = read_picture(path)
-    quilt = options.quilt or _quilt_in_name(path)
+    quilt = options.quilt or quilt_in_name(path)
     assert quilt is not None  # otherwise this reader did not accept
     height, width = _tile(picture, quilt.rows, quilt.columns)
     if 0 in (height, width):
         raise ValueError(
             f"{path} is {_size(picture)}, too small for a quilt of {quilt.columns}x{quilt.rows}"
         )
-    upside_down = picture.pixels[::-1][: height * quilt.rows, : width * quilt.columns]
-    tiles = upside_down.reshape(quilt.rows, height, quilt.columns, width, -1)
+    whole = picture.pixels[-height * quilt.rows :, : width * quilt.columns]
+    views = views_of_quilt(whole, quilt.columns, quilt.rows)
     count = quilt.rows * quilt.columns
 
     def read(n: int) -> Picture:
-        return Picture(tiles[n // quilt.columns, ::-1, n % quilt.columns], picture.notes)
+        return Picture(views[n // quilt.columns, n % quilt.columns], picture.notes)
 
     notes = _quilt_notes(quilt, picture, height, width)
     grid = known_grid((1, count), options, str(path))
@@ -87,16 +91,11 @@ def _is_picture(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES
 
 
-def _quilt_in_name(path: Path) -> Quilt | None:
-    match = re.search(rf"_qs({QUILT_LAYOUT})", path.stem)
-    return Quilt.parse(match[1]) if match else None
-
-
 QUILT = Reader(
     accepts=lambda path, options: (
         _is_picture(path)
         and options.lenslet is None
-        and (options.quilt or _quilt_in_name(path)) is not None
+        and (options.quilt or quilt_in_name(path)) is not None
     ),
     open=open_quilt,
 )
@@ -113,20 +112,6 @@ def _tile(picture: Picture, rows: int, columns: int) -> tuple[int, int]:
 
 def _size(picture: Picture) -> str:
     return f"{picture.pixels.shape[1]}x{picture.pixels.shape[0]} px"
-
-
-def _cut(
-    picture: Picture, stored: tuple[int, int], options: FieldOptions, path: Path
-) -> StoredViews:
-    rows, columns = stored
-    height, width = _tile(picture, rows, columns)
-    tiles: np.ndarray = picture.pixels.reshape(rows, height, columns, width, -1)
-
-    def read(n: int) -> Picture:
-        return Picture(tiles[n // columns, :, n % columns], picture.notes)
-
-    grid = known_grid(stored, options, str(path))
-    return StoredViews(grid, read, lambda n: f"tile {n} of {path.name}")
 
 
 def _quilt_notes(quilt: Quilt, picture: Picture, height: int, width: int) -> tuple[str, ...]:

@@ -18,9 +18,10 @@ from layerfield.io.resumable_output import is_made, resumable_directory
 from layerfield.panels import quantise
 from layerfield.provenance import provenance
 from layerfield.rendering.placement import Fit, Placement, Pose, in_disparities
+from layerfield.rendering.previews import preview
 from layerfield.rendering.sources import Source
 from layerfield.rendering.takes import Take
-from layerfield.rendering.tracing import first_hits, preview, trace
+from layerfield.rendering.tracing import first_hits, trace
 from layerfield.rendering.variant import mitsuba
 from layerfield.transfer import NONE, Srgb
 

@@ -240,7 +240,7 @@ def place(
     """
     geometry = display.geometry
     extent = reduce(Extent.united, (each for _, each in extents))
-    front, back = _depth_range(display, fit)
+    front, back = depth_range(display, fit)
     # what the front layer shows looks this much larger than on the display plane
     height, width = (side * (1 - front / min(geometry.distances)) for side in size)
     scale = _scale(extent, (height, width), display, fit, share)
@@ -273,8 +273,12 @@ def place(
     )
 
 
-def _depth_range(display: Display, fit: Fit) -> tuple[float, float]:
-    """Depth of the nearest and the farthest point, as the geometry counts it."""
+def depth_range(display: Display, fit: Fit) -> tuple[float, float]:
+    """Return the depth of the nearest and the farthest point, as the geometry counts it.
+
+    Raises:
+        ValueError: a display without depth and none asked for, or one that reaches a viewer.
+    """
     unit, name = (1.0, "px of disparity") if in_disparities(display) else (1e-3, "mm")
     depths, nearest = display.geometry.depths, min(display.geometry.distances)
     front, back = depths[0], depths[-1]

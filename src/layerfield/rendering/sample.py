@@ -117,11 +117,11 @@ def _globe(rng: np.random.Generator) -> UInt8[np.ndarray, "y x 3"]:
     )  # fmt: skip
     place = np.stack(
         [np.cos(down) * np.sin(around), np.sin(down), np.cos(down) * np.cos(around)], axis=-1
-    )
-    height = np.zeros(down.shape)
-    for wave in rng.normal(size=(90, 3)):
+    ).astype(np.float32)
+    height = np.zeros(down.shape, np.float32)
+    for wave in rng.normal(size=(90, 3)).astype(np.float32):
         often = 2.2 * rng.random() ** -0.45
-        height += np.sin(often * place @ wave + rng.uniform(0, 7)) / often
+        height += np.sin(place @ (often * wave) + rng.uniform(0, 7)) / often
     land = np.clip(6 * height - 0.5, 0, 1)[..., None]
     sea = np.array([40, 92, 150]) * (1 + 0.1 * height[..., None])
     ground = np.array([196, 172, 110]) * (1 - 0.35 * np.clip(height[..., None], 0, 1.5))

@@ -2,24 +2,18 @@
 
 from typing import Any
 
-import cv2
 import numpy as np
 from jaxtyping import Float
 
 from layerfield.rendering.cameras import camera
 from layerfield.rendering.placement import Placement
 from layerfield.rendering.takes import Take
-from layerfield.rendering.variant import FAST, mitsuba
+from layerfield.rendering.variant import mitsuba
 
 _BOUNCES = 6
 _MOST_SAMPLES_AT_ONCE = 2**24  # of a picture, for the sake of memory
 _PORTIONS = 4  # of the samples, at least; the fewer, the less can be told of sparks
 _SPARK, _DIM = 2.0, 0.05  # times the median of the portions, plus that, is still no spark
-
-# The preview: a light from the upper left, and one from all around that is brighter above.
-# Columns: its direction, that of what is above, and that of the viewer.
-_SHADING = np.array([[-0.45, 0.6, 0.66], [0, 1, 0], [0, 0, 1]]).T
-_DIRECT, _ABOVE, _BELOW = 0.75, 0.5, 0.25
 
 
 def trace(
@@ -43,7 +37,7 @@ def trace(
     found = []
     for turn, count in enumerate(portions):
         sampler = {"type": "multijitter", "sample_count": count}
-        film = _film(placement.size, "rgba")
+        film = film_of(placement.size, "rgba")
         sensor = mi.load_dict(camera(placement, view, take.frame, film) | {"sampler": sampler})
         number = int(np.random.SeedSequence([*seed, turn]).generate_state(1)[0])
         picture = integrator.render(take.scene, sensor=sensor, seed=number, spp=count)
@@ -88,36 +82,20 @@ def first_hits(
         view: number of the viewpoint.
         fine: rays along each side of a pixel.
     """
-    film = _film((fine * placement.size[0], fine * placement.size[1]), "rgb")
-    found = _aov(take.scene, _sensor(take, placement, view, film, jitter=False), "position")
+    film = film_of((fine * placement.size[0], fine * placement.size[1]), "rgb")
+    found = aov(take.scene, sensor_of(take, placement, view, film), "position")
     toward = np.linalg.inv(take.frame)[2]
     z = found["position"] @ toward[:3].astype(np.float32) + np.float32(toward[3])
     return np.where(found["hit"], z, np.nan)
 
 
-def preview(take: Take, placement: Placement, view: int) -> Float[np.ndarray, "y x 3"]:
-    """Return the light of a view without shadows, quickly; arguments as in `first_hits`."""
-    height, width = placement.size
-    fine = 2 if mitsuba().variant() == FAST else 1  # rays along each side of a pixel
-    film = _film((fine * height, fine * width), "rgb")
-    sensor = _sensor(take, placement, view, film, jitter=fine > 1)
-    found = _aov(take.scene, sensor, "sh_normal", "albedo")
-    axes = take.frame[:3, :3] / np.linalg.norm(take.frame[:3, 0])
-    lit, up, front = np.moveaxis(found["sh_normal"] @ (axes @ _SHADING).astype(np.float32), -1, 0)
-    side = np.where(front < 0, np.float32(-1), np.float32(1))  # surfaces face the viewer
-    light = _DIRECT * (side * lit).clip(0) + side * (_ABOVE - _BELOW) / 2 * up
-    light = found["albedo"] * (light + (_ABOVE + _BELOW) / 2)[..., None]
-    light[~found["hit"]] = take.behind
-    return light if fine == 1 else cv2.resize(light, (width, height), interpolation=cv2.INTER_AREA)
-
-
 def visible_points(scene: Any, sensor: Any) -> Float[np.ndarray, "point 3"]:
     """Return points of a scene that a camera sees."""
-    found = _aov(scene, sensor, "position")
+    found = aov(scene, sensor, "position")
     return found["position"][found["hit"]]
 
 
-def _film(size: tuple[int, int], pixels: str) -> dict[str, Any]:
+def film_of(size: tuple[int, int], pixels: str) -> dict[str, Any]:
     """Without a filter across pixels, so that a pixel is the mean over its square."""
     return {
         "type": "hdrfilm",
@@ -129,16 +107,20 @@ def _film(size: tuple[int, int], pixels: str) -> dict[str, Any]:
     }
 
 
-def _sensor(
-    take: Take, placement: Placement, view: int, film: dict[str, Any], *, jitter: bool
-) -> Any:
-    """A camera with one ray through each pixel of the film, through its centre or anywhere."""
-    sampler = {"type": "stratified", "sample_count": 1, "jitter": jitter}
+def sensor_of(take: Take, placement: Placement, view: int, film: dict[str, Any]) -> Any:
+    """Return a camera with one ray through the centre of each pixel of the film."""
+    sampler = {"type": "stratified", "sample_count": 1, "jitter": False}
     return mitsuba().load_dict(camera(placement, view, take.frame, film) | {"sampler": sampler})
 
 
-def _aov(scene: Any, sensor: Any, *wanted: str) -> dict[str, np.ndarray]:
-    """What rays meet first: three numbers of each kind, and whether there is anything."""
+def aov(scene: Any, sensor: Any, *wanted: str) -> dict[str, np.ndarray]:
+    """Return what rays meet first: three numbers of each kind, and whether there is anything.
+
+    Args:
+        scene: of Mitsuba.
+        sensor: a camera.
+        wanted: kinds, as Mitsuba's integrator of this name calls them.
+    """
     asked = ",".join(["depth:depth", *(f"{name}:{name}" for name in wanted)])
     integrator = mitsuba().load_dict({"type": "aov", "aovs": asked})
     found = np.asarray(integrator.render(scene, sensor=sensor, seed=0, spp=1))

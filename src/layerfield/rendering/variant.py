@@ -38,29 +38,45 @@ def refuse_missing_extra() -> None:
             ) from None
 
 
-def choose_variant() -> str:
+def start_trial() -> subprocess.Popen | None:
+    """Start to try the fast variant in a process of its own, which takes about a second.
+
+    None where a variant is set already, or no process can be started.
+    """
+    loaded = sys.modules.get("mitsuba")
+    if loaded is not None and loaded.variant() in (FAST, SAFE):
+        return None
+    quiet = subprocess.DEVNULL
+    try:
+        return subprocess.Popen([sys.executable, "-c", _TRIAL], stdout=quiet, stderr=quiet)
+    except OSError:
+        return None
+
+
+def choose_variant(trial: subprocess.Popen | None = None) -> str:
     """Set the fastest variant of Mitsuba that works here, for the whole process; return its name.
 
     One that is set already stays.
+
+    Args:
+        trial: that was started earlier, to save time.
     """
     mi = mitsuba()
     chosen = mi.variant()
     if chosen not in (FAST, SAFE):
-        chosen = FAST if _works() else SAFE
+        chosen = FAST if _works(trial or start_trial()) else SAFE
         mi.set_variant(chosen)
     mi.set_log_level(mi.LogLevel.Error)
     return chosen
 
 
-def _works() -> bool:
-    try:
-        tried = subprocess.run(
-            [sys.executable, "-c", _TRIAL],
-            check=False,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            timeout=_TRIAL_SECONDS,
-        )
-    except (OSError, subprocess.TimeoutExpired):
+def _works(trial: subprocess.Popen | None) -> bool:
+    if trial is None:
         return False
-    return tried.returncode == 0
+    try:
+        return trial.wait(timeout=_TRIAL_SECONDS) == 0
+    except subprocess.TimeoutExpired:
+        return False
+    finally:
+        trial.kill()
+        trial.wait()

@@ -19,6 +19,9 @@ from layerfield.solvers.learned_admm import BALANCE, COARSE, Constants, LearnedA
 
 _FIRST = {"penalty": math.log(0.02), "relaxation": 1.6, "trust": 1.0, "kept": 0.6, "momentum": 0.0}
 _LAST_PENALTY = math.log(0.1)
+# Least penalty on large pixels. Softer ones serve small scenes, but let light answer to what is far
+# away: worse on large pictures, and layers flicker when something scrolls in.
+_SOFTEST = 0.02
 
 
 class LearnedSteps(nn.Module):
@@ -30,7 +33,7 @@ class LearnedSteps(nn.Module):
 
     Attributes:
         full: a row for every step, in the order of `Constants`; the logarithm of the penalty.
-        coarse: the same.
+        coarse: the same; of the penalty above its least.
     """
 
     def __init__(self, full: int, coarse: int) -> None:
@@ -41,7 +44,7 @@ class LearnedSteps(nn.Module):
     @torch.no_grad()
     def solver(self) -> LearnedAdmm:
         """Return the solver with what was learned."""
-        full, coarse = (_real(rows).tolist() for rows in (self.full, self.coarse))
+        full, coarse = _real(self.full).tolist(), _real(self.coarse, _SOFTEST).tolist()
         return LearnedAdmm([Constants(*row) for row in full], [Constants(*row) for row in coarse])
 
     def onward(
@@ -54,7 +57,7 @@ class LearnedSteps(nn.Module):
     def forward(self, problem: Problem) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         """Return the layers of a problem whose link is a sum, in the bounds of the problem."""
         gram, bounds = problem.gram, problem.bounds
-        full, coarse = _real(self.full), _real(self.coarse)
+        full, coarse = _real(self.full), _real(self.coarse, _SOFTEST)
         data = _completed(problem, gram.to_torus(problem.even_start()))
         shadow = _first(gram.spectral, data, full[0], coarse, bounds)
         return gram.from_torus(_steps(problem, shadow, full[1:])).clamp(*bounds)
@@ -91,10 +94,10 @@ def _start(steps: int) -> Tensor:
     return rows
 
 
-def _real(rows: Tensor) -> Tensor:
-    """Return constants for what is learned of them: a penalty is above 0."""
+def _real(rows: Tensor, softest: float = 0.0) -> Tensor:
+    """Return constants for what is learned of them: a penalty is above the softest."""
     assert rows.shape[-1] == len(fields(Constants))
-    return torch.cat([rows[:, :1].exp(), rows[:, 1:]], dim=1)
+    return torch.cat([rows[:, :1].exp() + softest, rows[:, 1:]], dim=1)
 
 
 def _first(

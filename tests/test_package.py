@@ -66,10 +66,10 @@ def test_lower_rooms_do_not_import_higher_ones():
         "light_field", "projection", "back_projection", "warped_projection", "panel_projection",
         "frequencies", "gram", "display_constants", "links", "composition", "transfer",
         "panel_spec", "display_spec", "display", "panels", "motion", "solve", "between", "tone",
-        "solvers", "panel_images", "networks", "metrics", "provenance", "scenes", "io", "rendering",
-        "eyes", "animation", "plane_sweep", "disparity", "weights", "methods", "fast",
+        "solvers", "panel_images", "networks", "metrics", "provenance", "scenes", "io", "frames",
+        "rendering", "eyes", "animation", "plane_sweep", "disparity", "weights", "methods", "fast",
         "synthesizer", "stream", "reference", "evaluate", "remarks", "observers", "stored_result",
-        "result", "spectrum", "design", "training", "report", "bench", "viewer", "demo",
+        "result", "video", "spectrum", "design", "training", "report", "bench", "viewer", "demo",
         "reproduction", "cli", "__main__",
     ]  # fmt: skip
     source = ROOT / "src" / "layerfield"

@@ -20,6 +20,7 @@ from layerfield.cli.simulate import simulate_command
 from layerfield.cli.synth import synth_command
 from layerfield.cli.terminal import print_tables, say, status
 from layerfield.cli.train import train_command
+from layerfield.cli.video import video_command
 from layerfield.cli.view import view_command
 from layerfield.demo import DISPLAYS, run_demo
 from layerfield.version import __version__
@@ -53,6 +54,7 @@ def demo(out: Out = Path("demo"), force: Force = False) -> None:
 app.command(name="info")(info_command)
 app.command(name="render")(render_command)
 app.command(name="synth")(synth_command)
+app.command(name="video")(video_command)
 app.command(name="simulate")(simulate_command)
 app.command(name="evaluate")(evaluate_command)
 app.command(name="bench")(bench_command)

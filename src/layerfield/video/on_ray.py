@@ -16,6 +16,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
+from secrets import token_hex
 from typing import Any
 
 import torch
@@ -28,10 +29,11 @@ LOCAL = "local"
 _TRIES = 3  # of a batch, after the first, where workers die
 _PATIENCE = 5.0  # seconds until a cluster counts as not reachable
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-# Before Ray is imported, and for all that it starts: it tells nobody that it is used; and nothing
-# but this machine can reach it (the name is that of the systems where this is so anyway).
+# Before Ray is imported, and for all that it starts: it tells nobody that it is used.
 _SILENT = {"RAY_USAGE_STATS_ENABLED": "0"}
-_LOOPBACK = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
+# Nothing but this machine can reach it (the name is that of the systems where this is so anyway),
+# and its workers are as important as this process, not 15 steps less.
+_OWN = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_worker_niceness": "0"}
 
 
 @dataclass(frozen=True)
@@ -58,8 +60,9 @@ class Ray:
         from ray.exceptions import RayActorError, RayTaskError  # noqa: PLC0415  an extra
 
         done, wrong = job.count_without(batches), None
-        tick("frames", done)
+        tick("starting workers", done)
         pool = self._pool(job, batches)
+        tick("frames", done)
         while pool.has_next():
             try:
                 made: Made = pool.get_next_unordered()
@@ -91,7 +94,15 @@ class Ray:
             max_task_retries=_TRIES,
         )(_Worker)
         count = min(self.workers, len(batches))
-        pool = ActorPool([kind.remote(self.threads) for _ in range(count)])
+        workers = [kind.remote(self.threads) for _ in range(count)]
+        try:
+            ray.get([worker.__ray_ready__.remote() for worker in workers])
+        except ray.exceptions.RayError as error:
+            raise ValueError(
+                "a worker of Ray cannot start; every machine needs this version of layerfield "
+                f"({str(error).strip().splitlines()[-1]})"
+            ) from None
+        pool = ActorPool(workers)
         sent = ray.put(replace(job))  # without what it has read
         for batch in batches:
             pool.submit(lambda worker, one: worker.make.remote(sent, one), batch)
@@ -128,7 +139,9 @@ def ray_at(
     """
     if find_spec("ray") is None:
         raise ValueError("this needs Ray; install it with pip install 'layerfield[ray]'")
-    os.environ |= _SILENT | (_LOOPBACK if address == LOCAL else {})
+    os.environ |= _SILENT
+    if address == LOCAL:
+        os.environ |= _OWN | {"RAY_AUTH_TOKEN": token_hex(32)}  # otherwise it writes one of its own
     import ray  # noqa: PLC0415  an extra
 
     if ray.is_initialized():

@@ -425,3 +425,28 @@ def test_what_exists_is_not_replaced():
     fails(run("video", "film.mkv", *QUILT, "--out", "out"), "out exists", "force")
     fails(run("video", "film.mkv", *QUILT, "--out", "film.mkv"), "film.mkv")
     assert not list(Path().glob("*.unfinished"))
+
+
+PEAKS = """
+import sys
+from contextlib import suppress
+from layerfield import cli
+from layerfield.own_process import peak_megabytes
+for count in ("24", "96"):
+    sys.argv = ["layerfield", *{words}, "--frames", f"0:{{count}}", "--out", f"of-{{count}}"]
+    with suppress(SystemExit):
+        cli.main()
+    print("peak", peak_megabytes())
+"""
+
+
+def test_memory_does_not_grow_with_the_number_of_frames():
+    """Frames that are kept would take a megabyte each."""
+    made = panned(Display(SPEC).geometry, (0, 1), 6, size=(48, 64), seed=3)
+    codes = made.clamp(0, 1).mul(255).round().to(torch.uint8)
+    write_film(Path("large.mkv"), np.tile(quilts(codes), (16, 1, 1, 1)), g="12")
+    words = ["video", "large.mkv", *QUILT, "--batch", "12", "--iterations", "1"]
+    done = finish(start(sys.executable, "-c", PEAKS.format(words=words)))
+    assert done.err == ""
+    few, many = (float(line.split()[1]) for line in done.out.splitlines() if "peak" in line)
+    assert many - few < 15, done

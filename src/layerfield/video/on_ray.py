@@ -84,6 +84,7 @@ class Ray:
 
     def _pool(self, job: Job, batches: Sequence[Batch]) -> Any:
         import ray  # noqa: PLC0415  an extra
+        from ray.exceptions import RayError  # noqa: PLC0415
         from ray.util import ActorPool  # noqa: PLC0415
 
         on_gpu = int(self.device == "cuda")
@@ -94,10 +95,10 @@ class Ray:
             max_task_retries=_TRIES,
         )(_Worker)
         count = min(self.workers, len(batches))
-        workers = [kind.remote(self.threads) for _ in range(count)]
+        workers: list[Any] = [kind.remote(self.threads) for _ in range(count)]
         try:
             ray.get([worker.__ray_ready__.remote() for worker in workers])
-        except ray.exceptions.RayError as error:
+        except RayError as error:
             raise ValueError(
                 "a worker of Ray cannot start; every machine needs this version of layerfield "
                 f"({str(error).strip().splitlines()[-1]})"

@@ -3,10 +3,12 @@
     python benchmarks/video_flicker.py OUT.json
 
 Frames of 96x160 on a 1x5 display at disparities 1, 0, -1: a scene that stands still, the same with
-noise of 1/255 that is new in every frame, and a pan of one pixel a frame, whose frames are compared
-where the picture has moved to. Changes are root mean squares in codes of 1/255: of the input, of
-what its viewers and an eye between two of them see, of the layers, and of layers rounded to 8 bits,
-the mean of frames after the sixth, and the largest where a batch begins.
+noise of 1/255 that is new in every frame, a pan of one pixel a frame, whose frames are compared
+where the picture has moved to, and viewpoints that move sideways. Changes are root mean squares in
+codes of 1/255: of the input, of what its viewers and an eye between two of them see, of the layers,
+and of layers rounded to 8 bits, the mean of frames after the sixth, and the largest where a batch
+begins. "excess" is that of the last frame before the first border and of some behind it over their
+optimum.
 
 "warm": batches of 32 frames as `video` makes them, with its run-in and without; "unbroken": in one
 run.
@@ -23,11 +25,20 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from layerfield import DisparitySpec, Display, LightField, Solution, synthesize, synthesize_frames
+from layerfield import (
+    DisparitySpec,
+    Display,
+    LightField,
+    Solution,
+    excess,
+    reference,
+    synthesize,
+    synthesize_frames,
+)
 from layerfield.io import whole_file
 from layerfield.panels import dequantise
 from layerfield.provenance import provenance
-from layerfield.scenes import panned
+from layerfield.scenes import panned, travelled
 from layerfield.solvers.rounding import ROUNDINGS, panel_codes
 from layerfield.stream import run_in
 from layerfield.synthesizer import find_method, pose
@@ -39,6 +50,7 @@ SHOWN = Display(
         {"name": "row", "link": "additive", "disparity": (1.0, 0.0, -1.0), "views": GRID}
     )
 )
+JUDGED = [BATCH + t for t in (-1, 0, 1, 4, 8)]
 EYE = (0.5, 0.0)  # between the middle viewpoint and the next, in view steps
 RUN_IN = run_in(find_method("fast"), SHOWN)
 
@@ -51,6 +63,10 @@ def still(noise: float) -> Tensor:
 VIDEOS: dict[str, tuple[Callable[[], Tensor], int]] = {  # with how far the picture moves
     "still": (lambda: still(0.0), 0),
     "still, noise 1/255": (lambda: still(1 / 255), 0),
+    "travel 0.4 views": (
+        lambda: travelled(SHOWN.geometry, 0.4, FRAMES, size=SIZE, seed=14),
+        0,
+    ),
     "pan 1 px": (lambda: panned(SHOWN.geometry, (1, 0), FRAMES, size=SIZE, seed=11), 1),
 }
 
@@ -98,18 +114,25 @@ def change(new: Tensor, old: Tensor, step: int) -> float:
     return 255 * (new[..., :width] - old[..., step:]).square().mean().sqrt().item()
 
 
-def changes(views: Tensor, step: int, way: str) -> dict:
-    codes = views.clamp(0, 1).mul(255).round().to(torch.uint8)
-    fields = [LightField(frame, GRID) for frame in codes]
-    shown = (pictures(fields, made, t) for t, made in enumerate(WAYS[way](fields)))
+def changes(fields: list[LightField], step: int, way: str, optima: dict[int, float]) -> dict:
+    left: dict[int, float] = {}
+
+    def shown() -> Iterator[dict[str, Tensor]]:
+        for t, made in enumerate(WAYS[way](fields)):
+            if t in optima:
+                error = pose(fields[t], SHOWN).mean_square_error(made.layers)
+                left[t] = excess(error, optima[t])
+            yield pictures(fields, made, t)
+
     rows = [
-        {name: change(new[name], old[name], step) for name in new} for old, new in pairwise(shown)
+        {name: change(new[name], old[name], step) for name in new} for old, new in pairwise(shown())
     ]
     borders = [row for t, row in enumerate(rows, 1) if t % BATCH == 0]
     settled = rows[SETTLED:]
     return {
         "mean": {name: sum(row[name] for row in settled) / len(settled) for name in rows[0]},
         "at borders": {name: max(row[name] for row in borders) for name in rows[0]},
+        "excess": left,
     }
 
 
@@ -126,14 +149,17 @@ def main(out: Path) -> None:
         "videos": found,
     }
     for name, (make, step) in VIDEOS.items():
-        views = make()
-        found[name] = {way: changes(views, step, way) for way in WAYS}
+        codes = make().clamp(0, 1).mul(255).round().to(torch.uint8)
+        fields = [LightField(frame, GRID) for frame in codes]
+        optima = {t: reference(pose(fields[t], SHOWN)).mean_square_error for t in JUDGED}
+        found[name] = {way: changes(fields, step, way, optima) for way in WAYS}
         for way, row in found[name].items():
             told = ", ".join(
                 f"{what} {value:.2f} ({row['at borders'][what]:.2f})"
                 for what, value in row["mean"].items()
             )
-            print(f"{name}: {way}: {told}", flush=True)
+            over = ", ".join(f"{value:.1%}" for value in row["excess"].values())
+            print(f"{name}: {way}: {told}; excess {over}", flush=True)
         with whole_file(out, force=True) as temporary:
             temporary.write_text(json.dumps(record, indent=1) + "\n", "utf-8")
 

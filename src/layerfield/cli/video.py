@@ -14,7 +14,6 @@ from layerfield.cli.options import (
     Bits,
     DisplayName,
     Force,
-    Iterations,
     Out,
     recorded,
     with_field_options,
@@ -58,7 +57,10 @@ def video_command(
     out: Out,
     options: FieldOptions,
     method: Annotated[str, typer.Option("--method", help=_METHOD)] = "fast",
-    iterations: Iterations = None,
+    iterations: Annotated[
+        int | None,
+        typer.Option("--iterations", min=0, help=f"of frames behind others: {WARM_ITERATIONS}"),
+    ] = None,
     frames: Annotated[
         str | None, typer.Option("--frames", help="FIRST:STOP, from 0; all if not given")
     ] = None,

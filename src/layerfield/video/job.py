@@ -127,8 +127,8 @@ class Job:
 
     def facts(self) -> dict[str, Any]:
         """Return what decides on the layers, for their record."""
-        device = provenance(torch.device(self.device))
-        known = {name: device[name] for name in ("layerfield", "torch", "device", "processor")}
+        here = provenance(torch.device("cpu"))  # workers may have what this process has not
+        known = {name: here[name] for name in ("layerfield", "torch", "processor")}
         return {
             "input": self.source.name,
             "frames": list(self.frames),
@@ -147,7 +147,7 @@ class Job:
             "batch": self.length,
             "run_in": self.run_in,
             "seed": None,  # nothing here is random
-            "made_with": known,
+            "made_with": known | {"device": self.device},
         }
 
 

@@ -142,7 +142,8 @@ def ray_at(
         raise ValueError("this needs Ray; install it with pip install 'layerfield[ray]'")
     os.environ |= _SILENT
     if address == LOCAL:
-        os.environ |= _OWN | {"RAY_AUTH_TOKEN": token_hex(32)}  # otherwise it writes one of its own
+        os.environ |= _OWN
+        os.environ.setdefault("RAY_AUTH_TOKEN", token_hex(32))  # or it leaves a file with one
     import ray  # noqa: PLC0415  an extra
 
     if ray.is_initialized():

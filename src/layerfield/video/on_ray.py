@@ -155,6 +155,8 @@ def ray_at(
     try:
         _connect(address, folder, (workers or 1) * threads)
         yield _chosen(workers, threads, device)
+    except SystemError as error:  # Ray's word for a signal that came while it waited
+        raise (error.__cause__ or error) from None
     finally:
         ray.shutdown()
         shutil.rmtree(folder, ignore_errors=True)

@@ -377,6 +377,8 @@ WRONG = [
     ("none_%04d.png", QUILT, ["fits the pattern none_%04d.png"]),
     ("gaps/q_%d.png", QUILT, ["lacks 1 of the frames 3 to 5", "missing 4", "with *"]),
     ("gaps", QUILT, ["lacks 1 of the frames 3 to 5"]),
+    ("times", QUILT, ["lacks 86399 of the frames 0 to 86400", "1, 2, 3, 4, 5, 6 ..."]),
+    ("field", QUILT, ["number of its own", "take synth"]),
     ("a%d_%d.png", QUILT, ["must hold one %d"]),
     ("empty", QUILT, ["found no frames in the folder empty"]),
     ("sizes", QUILT, ["frame 1 of sizes has", "the first has", "0 of 2 frames are done"]),
@@ -406,6 +408,9 @@ def test_wrong_input_is_one_line(views, source, how, words):
         for number, less in zip(numbers, sizes, strict=True):
             picture = torch.from_numpy(quilts(views[:1])[0, less:]).movedim(-1, 0)
             write_png(f"{folder}/q_{number}.png", picture)
+    for name in ("times/0.png", "times/86400.png", "field/view_00_00.png", "field/view_01_00.png"):
+        Path(name).parent.mkdir(exist_ok=True)
+        Path(name).write_bytes(b"")
     before = contents(Path())
     fails(run("video", source, *how, "--out", "out"), *words)
     left = {name for name in contents(Path()) if not name.startswith("out.unfinished")}

@@ -5,11 +5,13 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import islice, pairwise
 from pathlib import Path
 
 from layerfield.frames.source import FrameReader
 from layerfield.io import FieldOptions, field_name, load_light_field
 from layerfield.io.images import SUFFIXES
+from layerfield.io.view_folder import by_numbers
 from layerfield.light_field import LightField
 
 _NUMBER = re.compile(r"%(?:0\d+)?d")
@@ -55,7 +57,7 @@ def open_pattern(text: str, options: FieldOptions) -> FrameSequence:
     if _NUMBER.search(text):
         found = _numbered(text)
     else:
-        found = sorted(map(Path, glob.glob(text)), key=_by_numbers)  # noqa: PTH207  may be absolute
+        found = sorted(map(Path, glob.glob(text)), key=_in_order)  # noqa: PTH207  may be absolute
     if not found:
         raise ValueError(
             f"no file or folder fits the pattern {text}; check the folder and the name"
@@ -83,12 +85,13 @@ def open_folder(text: str, options: FieldOptions) -> FrameSequence:
             f"found no frames in the folder {folder}; expected a folder for each, as frame_0000, "
             "or numbered pictures, .npy, .npz or .h5"
         )
-    frames.sort(key=_by_numbers)
+    frames.sort(key=_in_order)
     numbers = [number for path in frames if (number := _last_number(path)) is not None]
     if len(set(numbers)) < len(frames) > 1:
         raise ValueError(
             f"{folder} holds {len(frames)} frames, but not each has a number of its own at the end "
-            "of its name; name them as frame_0000, or give a pattern with *"
+            "of its name; name them as frame_0000, give a pattern with *, or take synth for one "
+            "light field"
         )
     _refuse_gaps(text, numbers)
     return FrameSequence(field_name(folder), tuple(path.absolute() for path in frames), options)
@@ -120,18 +123,18 @@ def _numbered(pattern: str) -> list[Path]:
 
 
 def _refuse_gaps(source: str, numbers: Sequence[int]) -> None:
-    """Refuse frames whose numbers leave some out."""
-    missing = sorted(set(range(min(numbers), max(numbers))) - set(numbers)) if numbers else []
-    if missing:
+    """Refuse frames whose numbers leave some out, be it millions, as times of day do."""
+    ordered = sorted(numbers)
+    missing = (n for a, b in pairwise(ordered) for n in range(a + 1, b))
+    named = list(islice(missing, _NAMED_AT_MOST))
+    if named:
+        count = ordered[-1] - ordered[0] + 1 - len(ordered)
+        more = " ..." if count > len(named) else ""
         raise ValueError(
-            f"{source} lacks {len(missing)} of the frames {min(numbers)} to {max(numbers)}: "
-            f"missing {_listed(missing)}; add them, or give a pattern with * for what is there"
+            f"{source} lacks {count} of the frames {ordered[0]} to {ordered[-1]}: missing "
+            f"{', '.join(map(str, named))}{more}; add them, or give a pattern with * for what is "
+            "there"
         )
-
-
-def _listed(numbers: Sequence[int]) -> str:
-    more = " ..." if len(numbers) > _NAMED_AT_MOST else ""
-    return ", ".join(map(str, numbers[:_NAMED_AT_MOST])) + more
 
 
 def _last_number(path: Path) -> int | None:
@@ -140,6 +143,5 @@ def _last_number(path: Path) -> int | None:
     return int(found[-1]) if found else None
 
 
-def _by_numbers(path: Path) -> list[tuple[int, int, str]]:
-    parts = re.findall(r"\d+|\D+", str(path))
-    return [(0, int(p), p) if p.isdecimal() else (1, 0, p) for p in parts]
+def _in_order(path: Path) -> list[tuple[int, int, str]]:
+    return by_numbers(str(path))

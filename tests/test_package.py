@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from test_cli import run
 
 import layerfield
@@ -68,11 +69,11 @@ def test_lower_rooms_do_not_import_higher_ones():
         "light_field", "projection", "back_projection", "warped_projection", "panel_projection",
         "frequencies", "gram", "display_constants", "links", "composition", "transfer",
         "panel_spec", "display_spec", "display", "panels", "motion", "solve", "between", "tone",
-        "solvers", "panel_images", "networks", "metrics", "provenance", "scenes", "io", "rendering",
-        "rgbd", "eyes", "animation", "plane_sweep", "disparity", "weights", "methods", "fast",
-        "synthesizer", "stream", "reference", "evaluate", "remarks", "observers", "stored_result",
-        "result", "simulation", "spectrum", "design", "training", "report", "bench", "viewer",
-        "demo", "reproduction", "cli", "__main__",
+        "solvers", "panel_images", "networks", "metrics", "provenance", "scenes", "io", "frames",
+        "rendering", "rgbd", "eyes", "animation", "plane_sweep", "disparity", "weights", "methods",
+        "fast", "synthesizer", "stream", "reference", "evaluate", "remarks", "observers",
+        "stored_result", "result", "simulation", "video", "spectrum", "design", "training",
+        "report", "bench", "viewer", "demo", "reproduction", "cli", "__main__",
     ]  # fmt: skip
     source = ROOT / "src" / "layerfield"
     for file in source.rglob("*.py"):
@@ -247,6 +248,25 @@ PAGES = {
 def test_every_command_of_the_page_on_the_viewer_runs(my_views):
     runs(commands_in((ROOT / "docs" / "viewer.md").read_text("utf-8")))
     assert Path("page.html").stat().st_size > 100_000
+
+
+def test_every_command_of_the_page_on_videos_runs(my_views):
+    """But for those on Ray, which have tests of their own."""
+    pytest.importorskip("av")
+    from test_video import write_film  # noqa: PLC0415  which needs the same
+
+    moving = layerfield.procedural_light_field(size=(40, 64)).views
+    frames = [moving[..., number : number + 48] for number in range(3)]
+    Path("my-take").mkdir()
+    for number, frame in enumerate(frames):
+        write_views(Path(f"my-take/frame_{number:04d}"), frame, Display.load("additive-3"), 8)
+    tiles = torch.stack(frames).mul(255).byte().unflatten(1, (5, 5)).permute(0, 1, 4, 2, 5, 3)
+    write_film(Path("my-quilts.mkv"), tiles.flatten(3, 4).flatten(1, 2).numpy())
+    page = (ROOT / "docs" / "video-command.md").read_text("utf-8")
+    blocks = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
+    for block in blocks:
+        exec(compile(block, "video-command.md", "exec"), {})
+    runs([command for command in commands_in(page) if " --ray " not in command])
 
 
 def test_every_command_of_the_page_on_rendering_runs(my_views):

@@ -36,6 +36,7 @@ from layerfield.synthesizer import find_method, pose
 
 WARM_ITERATIONS = 3
 _FIRST = 20  # iterations at least, where later frames live on what is made
+_RUN_IN = 8  # frames until the start of a video is forgotten, but for scenes that stand still
 _CUT = 0.3  # share of the variance of a frame that the one before, moved, does not explain
 _DARKEST = 1e-3  # layers darker than this move as if they were this bright
 
@@ -97,6 +98,17 @@ def _frames(
         else:
             cold = method.run(problem, display, replace(options, iterations=method.iterations))
             yield _noted(cold, problem, start="cold")
+
+
+def run_in(method: Method, display: Display) -> int:
+    """Return how many frames to make first, and throw away, where a video is begun in its middle.
+
+    Behind them frames are nearly those of a video that was begun earlier. Where every frame makes
+    its own start it is one, so that none has more iterations than others; of networks none.
+    """
+    if not isinstance(method, SolverMethod):
+        return 0
+    return 1 if _starts_itself(method, display) else _RUN_IN
 
 
 def _refuse_other_shape(field: LightField, shape: tuple[int, ...]) -> None:

@@ -22,6 +22,7 @@ from layerfield.cli.simulate import simulate_command
 from layerfield.cli.synth import synth_command
 from layerfield.cli.terminal import print_tables, say, status
 from layerfield.cli.train import train_command
+from layerfield.cli.video import video_command
 from layerfield.cli.view import view_command
 from layerfield.demo import DISPLAYS, run_demo
 from layerfield.version import __version__
@@ -57,6 +58,7 @@ app.command(name="render")(render_command)
 app.command(name="rgbd")(rgbd_command)
 app.command(name="convert")(convert_command)
 app.command(name="synth")(synth_command)
+app.command(name="video")(video_command)
 app.command(name="simulate")(simulate_command)
 app.command(name="evaluate")(evaluate_command)
 app.command(name="bench")(bench_command)

@@ -14,7 +14,7 @@ from layerfield.light_field import LightField
 from layerfield.nearest import did_you_mean
 from layerfield.rendering.placement import in_disparities
 
-_DEVICES = ("cpu", "cuda")
+DEVICES = ("cpu", "cuda")
 
 
 def refuse_unknown(what: str, name: str, known: Sequence[str]) -> None:
@@ -32,7 +32,7 @@ def refuse_without(option: str, given: object, others: dict[str, object]) -> Non
 
 def refuse_device(name: str) -> None:
     """Refuse a processor that is not there."""
-    refuse_unknown("device", name, _DEVICES)
+    refuse_unknown("device", name, DEVICES)
     if name == "cuda" and not torch.cuda.is_available():
         raise ValueError("there is no CUDA device here; use --device cpu")
 

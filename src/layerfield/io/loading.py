@@ -34,7 +34,15 @@ def load_light_field(path: str | Path, options: FieldOptions = _DEFAULTS) -> Lig
         ValueError: one line that says what was found, what was expected and what to do.
     """
     path = Path(path)
-    stored = _open(path, options)
+    return decoded(_open(path, options), options, field_name(path))
+
+
+def decoded(stored: StoredViews, options: FieldOptions, name: str) -> LightField:
+    """Return the light field in views that were found, as `load_light_field` does.
+
+    Raises:
+        ValueError: as `load_light_field`.
+    """
     grid, chosen = select_views(stored.grid, options)
     first = stored.read(chosen[0])
     reframe = plan_reframing(grid, _pixels(first), options)
@@ -42,7 +50,7 @@ def load_light_field(path: str | Path, options: FieldOptions = _DEFAULTS) -> Lig
     return LightField(
         views,
         grid,
-        name=field_name(path),
+        name=name,
         notes=tuple(dict.fromkeys(stored.notes + notes)),
         bits=8 * first.pixels.itemsize if first.pixels.dtype.kind == "u" else None,
     )

@@ -8,7 +8,7 @@ from layerfield.io.quilt import quilt_in_name, views_of_atlas, views_of_quilt
 from layerfield.io.stored import Reader, StoredViews, known_grid, show
 
 
-def open_atlas(path: Path, options: FieldOptions) -> StoredViews:
+def open_atlas(path: Path, options: FieldOptions, picture: Picture | None = None) -> StoredViews:
     """Cut a picture into `options.grid` equal tiles.
 
     Raises:
@@ -19,7 +19,7 @@ def open_atlas(path: Path, options: FieldOptions) -> StoredViews:
             f"{path} is one picture; say how the views lie in it: grid RxC for tiles row by row, "
             "quilt CxR for a quilt, or lenslet PITCH for a picture taken through lenslets"
         )
-    picture = read_picture(path)
+    picture = picture or read_picture(path)
     rows, columns = options.order.stored(options.grid)
     height, width = _tile(picture, rows, columns)
     if height * rows != picture.pixels.shape[0] or width * columns != picture.pixels.shape[1]:
@@ -36,7 +36,7 @@ def open_atlas(path: Path, options: FieldOptions) -> StoredViews:
     return StoredViews(grid, read, lambda n: f"tile {n} of {path.name}")
 
 
-def open_quilt(path: Path, options: FieldOptions) -> StoredViews:
+def open_quilt(path: Path, options: FieldOptions, picture: Picture | None = None) -> StoredViews:
     """Cut a quilt into a row of views: view 0 bottom left, then to the right, then upward.
 
     Rows and columns of pixels left over at the top and at the right are left out, as on the
@@ -45,7 +45,7 @@ def open_quilt(path: Path, options: FieldOptions) -> StoredViews:
     Raises:
         ValueError: more tiles than pixels.
     """
-    picture = read_picture(path)
+    picture = picture or read_picture(path)
     quilt = options.quilt or quilt_in_name(path)
     assert quilt is not None  # otherwise this reader did not accept
     height, width = _tile(picture, quilt.rows, quilt.columns)
@@ -65,13 +65,13 @@ def open_quilt(path: Path, options: FieldOptions) -> StoredViews:
     return StoredViews(grid, read, lambda n: f"view {n} of {path.name}", notes)
 
 
-def open_lenslets(path: Path, options: FieldOptions) -> StoredViews:
+def open_lenslets(path: Path, options: FieldOptions, picture: Picture | None = None) -> StoredViews:
     """Take view (u, v) as every pitch-th pixel from column u and row v on.
 
     Raises:
         ValueError: the pitch does not divide the picture.
     """
-    picture = read_picture(path)
+    picture = picture or read_picture(path)
     pitch = options.lenslet or 1
     height, width = picture.pixels.shape[:2]
     if height % pitch or width % pitch:
@@ -85,6 +85,24 @@ def open_lenslets(path: Path, options: FieldOptions) -> StoredViews:
         return Picture(picture.pixels[n // pitch :: pitch, n % pitch :: pitch], picture.notes)
 
     return StoredViews(grid, read, lambda n: f"view {n} of {path.name}")
+
+
+def views_in_picture(path: Path, options: FieldOptions, picture: Picture) -> StoredViews:
+    """Find the views in a picture that came out of a file of many, a frame of a video.
+
+    Args:
+        path: of that file; its name may tell the layout of a quilt, and errors name it.
+        options: `grid`, `order`, `quilt` and `lenslet` matter.
+        picture: the frame.
+
+    Raises:
+        ValueError: as for a picture in a file of its own.
+    """
+    if options.lenslet is not None:
+        return open_lenslets(path, options, picture)
+    if (options.quilt or quilt_in_name(path)) is not None:
+        return open_quilt(path, options, picture)
+    return open_atlas(path, options, picture)
 
 
 def _is_picture(path: Path) -> bool:

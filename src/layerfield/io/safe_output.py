@@ -7,7 +7,14 @@ from pathlib import Path
 from secrets import token_hex
 
 # Files that only this program writes.
-_OURS = ("result.json", "design.json", "figures.json", "render.json", "field.json")
+_OURS = (
+    "result.json",
+    "design.json",
+    "figures.json",
+    "render.json",
+    "field.json",
+    "video.json",
+)
 
 
 @contextmanager

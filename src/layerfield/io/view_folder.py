@@ -62,7 +62,7 @@ READER = Reader(accepts=lambda path, options: path.is_dir(), open=open_folder)
 
 def _pictures(path: Path) -> list[Path]:
     try:
-        entries = sorted(path.iterdir(), key=_by_numbers)
+        entries = sorted(path.iterdir(), key=lambda entry: by_numbers(entry.name))
     except OSError as error:
         raise ValueError(f"cannot read the folder {path}: {error.strerror}") from None
     files = [
@@ -78,9 +78,9 @@ def _pictures(path: Path) -> list[Path]:
     return files
 
 
-def _by_numbers(path: Path) -> list[tuple[int, int, str]]:
-    """Sort digits by their value, so that 2.png comes before 10.png."""
-    parts = re.findall(r"\d+|\D+", path.name)
+def by_numbers(name: str) -> list[tuple[int, int, str]]:
+    """Return what sorts digits by their value, so that 2.png comes before 10.png."""
+    parts = re.findall(r"\d+|\D+", name)
     return [(0, int(p), p) if p.isdecimal() else (1, 0, p) for p in parts]
 
 

@@ -1,0 +1,1 @@
+"""Light field videos in: folders, sequences of files, and videos of quilts or atlases."""

@@ -1,6 +1,7 @@
 """The method `fast`: learned steps, their file, their training, and what they are worth."""
 
 import json
+import math
 from itertools import pairwise
 from pathlib import Path
 
@@ -234,13 +235,12 @@ def test_the_direct_solver_behind_the_last_step_is_the_plain_one():
 
 
 def test_six_learned_steps_are_as_good_as_ten_of_the_direct_solver():
-    """In the mean of a few scenes."""
-    shown, errors = Display.load("additive-3"), {"fast": 0.0, "fourier-admm": 0.0}
+    """In the mean of a few scenes, large enough for light of low frequency."""
+    shown, decibels = Display.load("additive-3"), {"fast": 0.0, "fourier-admm": 0.0}
     for seed in range(4):
-        field = procedural_light_field(size=(96, 96), disparity_range=(-2, 2), seed=seed)
+        field = procedural_light_field(size=(256, 288), disparity_range=(-2, 2), seed=seed)
         problem = pose(field, shown)
-        best = reference(problem).mean_square_error
         for method, count in (("fast", 6), ("fourier-admm", 10)):
             made = synthesize(field, shown, method=method, iterations=count).layers
-            errors[method] += problem.mean_square_error(made) / best - 1
-    assert errors["fast"] <= errors["fourier-admm"]
+            decibels[method] -= 10 * math.log10(problem.mean_square_error(made))
+    assert decibels["fast"] >= decibels["fourier-admm"]

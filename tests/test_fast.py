@@ -10,7 +10,7 @@ import torch
 from safetensors.torch import save_file
 from test_cli import run
 
-from layerfield import Display, Problem, procedural_light_field, reference, solve, synthesize
+from layerfield import Display, Problem, procedural_light_field, solve, synthesize
 from layerfield.display_spec import parse_spec
 from layerfield.fast import read_learned, shipped_steps, write_learned
 from layerfield.solvers.fourier_admm import FourierAdmm

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.frequencies import multiply
+from layerfield.frequencies import multiply, to_pixels
 from layerfield.solve import Problem
 
 
@@ -83,7 +83,7 @@ class FourierAdmm:
         gram.from_torus(right).add_(problem.back_projected, alpha=share)
         gram.add_band_(right, iterate, share)
         spectrum = multiply(state.resolvent, torch.fft.rfft2(right))
-        return torch.fft.irfft2(spectrum, s=gram.torus)
+        return to_pixels(spectrum, gram.torus)
 
     def layers(self, problem: Problem, state: AdmmState) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         return problem.gram.from_torus(state.shadow).clamp(*problem.bounds)

@@ -7,7 +7,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.frequencies import Spectral, low_part, multiply, replace_low_part_
+from layerfield.frequencies import (
+    Spectral,
+    low_part,
+    multiply,
+    replace_low_part_,
+    to_pixels,
+)
 from layerfield.solve import Problem
 from layerfield.solvers.fourier_admm import AdmmState, FourierAdmm
 
@@ -117,13 +123,13 @@ class LearnedAdmm:
         if coarser is not None and self.coarse:
             solved = self._solved_coarsely(coarser, low_part(seen, coarser), problem.bounds)
             replace_low_part_(spectrum, solved, coarser)
-        return torch.fft.irfft2(spectrum, s=spectral.torus)
+        return to_pixels(spectrum, spectral.torus)
 
     def _solved_coarsely(
         self, coarser: Spectral, seen: Tensor, bounds: tuple[float, float]
     ) -> Tensor:
         """Return the spectrum of s after all coarse steps."""
-        data = torch.fft.irfft2(seen, s=coarser.torus).div_(COARSE**2)
+        data = to_pixels(seen, coarser.torus).div_(COARSE**2)
         shadow, before = data / (coarser.weight * len(coarser.symbol)), None
         for constants in self.coarse:
             iterate = shadow.clamp(*bounds)
@@ -176,7 +182,7 @@ def _moved(
     a, kept = constants.relaxation, constants.kept
     momentum = 0.0 if before is None else constants.momentum
     resolvent = spectral.resolvent(constants.penalty, BALANCE, gain=a)
-    moved = torch.fft.irfft2(multiply(resolvent, torch.fft.rfft2(right)), s=spectral.torus)
+    moved = to_pixels(multiply(resolvent, torch.fft.rfft2(right)), spectral.torus)
     # a x + (1 - a) z + kept (s - z) + momentum (s - s of one step ago)
     moved.add_(iterate, alpha=1 - a - kept).add_(shadow, alpha=kept + momentum)
     return moved if before is None else moved.sub_(before, alpha=momentum)

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.frequencies import Spectral, multiply
+from layerfield.frequencies import Spectral, multiply, to_pixels
 from layerfield.gram import fast_length, symbol_of
 from layerfield.solve import Problem
 from layerfield.solvers.fourier_admm import AdmmState, FourierAdmm
@@ -104,7 +104,7 @@ class TiledAdmm(FourierAdmm):
             for columns in state.columns:
                 part = columns.read(strip, -1)
                 spectrum = multiply(state.resolvent, torch.fft.rfft2(part))
-                solved = torch.fft.irfft2(spectrum, s=part.shape[-2:])
+                solved = to_pixels(spectrum, (rows.length, columns.length))
                 moved = solved[..., rows.inner, columns.inner] + shift
                 iterate = result[..., rows.core, columns.core]
                 before = state.shadow[..., rows.core, columns.core]

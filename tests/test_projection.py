@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from naive import traced_view, view
 
 from layerfield import DisparitySpec, Display, Geometry, PhysicalSpec
+from layerfield.band import GridBand, ViewsBand, band_of
 from layerfield.composition import compose_views
 from layerfield.frequencies import interleaved, inverse, multiply
 from layerfield.geometry import grid_points
@@ -148,6 +149,26 @@ def test_gram_with_band_is_exact(geometry, size):
     found = gram.from_torus(gram(gram.to_torus(layers)))
     expected = projection.adjoint(projection.forward(layers), weights)
     torch.testing.assert_close(found, expected, atol=1e-9, rtol=1e-9)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.tuples(st.integers(2, 5), st.integers(2, 4)),
+    st.lists(st.sampled_from([2.0, 1.0, 0.7, 0.25]), min_size=1, max_size=3, unique=True),
+    st.tuples(st.integers(1, 14), st.integers(1, 14)),
+)
+def test_the_band_of_a_grid_is_that_of_its_views(grid, depths, size):
+    geometry = Geometry(slopes=grid_points(grid), depths=tuple(sorted(depths, reverse=True)))
+    projection, weights = projection_of(geometry), (0.5,) * math.prod(grid)
+    layers = random_layers(geometry, size, batch=(2,))
+    gram = Gram(projection, weights, size, layers)
+    wide = torch.rand(*layers.shape[:-2], *gram.torus, dtype=torch.float64)
+    quick = band_of(projection, weights, size, gram.torus)
+    assert isinstance(quick, GridBand)
+    found, expected = torch.ones_like(wide), torch.ones_like(wide)
+    quick.add_(found, wide, 0.3)
+    ViewsBand(projection, weights, size, gram.torus).add_(expected, wide, 0.3)
+    torch.testing.assert_close(found, expected, atol=1e-12, rtol=1e-12)
 
 
 def test_symbol_is_real_for_symmetric_viewpoints_only():

@@ -10,6 +10,7 @@ from jaxtyping import Complex, Float, Inexact
 from torch import Tensor
 
 _MOST_KEPT = 1 << 29  # bytes of the resolvents of a display
+_LARGE = 1 << 14  # frequencies of a plane from which on it is transformed by itself
 
 
 class Spectral:
@@ -118,10 +119,11 @@ def to_pixels(
 ) -> Float[Tensor, "*batch c ty tx"]:
     """Return the planes that `rfft2` makes this spectrum of.
 
-    On a processor one plane after the other: what is between the transforms along both directions
-    stays in its cache, which takes an eighth to a fifth less time.
+    On a processor large planes go one after the other: what is between the transforms along both
+    directions stays in its cache, which takes an eighth to a fifth less time.
     """
-    if spectrum.device.type != "cpu" or spectrum.requires_grad:
+    small = spectrum.shape[-2:].numel() < _LARGE
+    if spectrum.device.type != "cpu" or spectrum.requires_grad or small:
         return torch.fft.irfft2(spectrum, s=torus)
     result = torch.empty(*spectrum.shape[:-2], *torus, dtype=spectrum.real.dtype)
     planes = result.flatten(end_dim=-3)

@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Float, Inexact
 from torch import Tensor
 
+from layerfield.band import band_of
 from layerfield.frequencies import Spectral, interleaved, multiply
 from layerfield.projection import Projection
 
@@ -73,15 +74,7 @@ class Gram:
         self.layer_size = (height + 2 * my, width + 2 * mx)
         self.torus = (fast_length(self.layer_size[0]), fast_length(self.layer_size[1]))
         self._like = like
-        # Two strips of the torus make up the band: all columns below and above the views, then
-        # what is left and right of them. Each holds the layer pixels its view pixels look at.
-        (ty, tx), across = self.torus, (0, self.torus[1] + 2 * mx)
-        strips = [((height, ty + 2 * my), across), ((0, height + 2 * my), (width, tx + 2 * mx))]
-        self.strips = [
-            (rows, columns)
-            for rows, columns in strips
-            if rows[1] - rows[0] > 2 * my and columns[1] - columns[0] > 2 * mx
-        ]
+        self._band = band_of(projection, weights, view_size, self.torus)
 
     @cached_property
     def symbol(self) -> Inexact[Tensor, "layer layer fy fx"]:
@@ -112,14 +105,7 @@ class Gram:
 
     def add_band_(self, result: Tensor, layers: Tensor, factor: float = 1.0) -> None:
         """Add a multiple of the band of `layers` to `result`, at the cost of the band alone."""
-        weights = [weight * factor for weight in self.weights]
-        for rows, columns in self.strips:
-            strip = _cut(_cut(layers, rows, -2), columns, -1)
-            part = torch.zeros_like(strip)
-            self.projection.add_normal_(part, strip, weights)
-            across = part.new_zeros(*part.shape[:-1], self.torus[1])
-            _add_cut_(across, part, columns, -1)
-            _add_cut_(result, across, rows, -2)
+        self._band.add_(result, layers, factor)
 
     def __call__(
         self, layers: Float[Tensor, "*batch layer c ty tx"]
@@ -127,23 +113,3 @@ class Gram:
         """Return A^T M W A layers."""
         spectrum = multiply(interleaved(self.symbol), torch.fft.rfft2(layers))
         return torch.fft.irfft2(spectrum, s=self.torus) - self.band(layers)
-
-
-def _cut(values: Tensor, span: tuple[int, int], dim: int) -> Tensor:
-    """Return a span of a torus that may run on past its end, at most once around."""
-    start, stop = span
-    length = values.shape[dim]
-    if stop <= length:
-        return values.narrow(dim, start, stop - start)
-    tail, head = values.narrow(dim, start, length - start), values.narrow(dim, 0, stop - length)
-    return torch.cat([tail, head], dim)
-
-
-def _add_cut_(result: Tensor, part: Tensor, span: tuple[int, int], dim: int) -> None:
-    """Add what `_cut` took back to where it came from; its adjoint, in place."""
-    start, stop = span
-    length = result.shape[dim]
-    before = min(stop, length) - start
-    result.narrow(dim, start, before).add_(part.narrow(dim, 0, before))
-    if stop > length:
-        result.narrow(dim, 0, stop - length).add_(part.narrow(dim, before, stop - length))

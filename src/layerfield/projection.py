@@ -20,7 +20,7 @@ from layerfield.geometry import Point
 Tap = tuple[int, float]
 
 
-def _taps(shift: float) -> tuple[Tap, ...]:
+def taps_of(shift: float) -> tuple[Tap, ...]:
     """Whole-pixel offsets and weights of the linear interpolation at a fractional shift."""
     whole = math.floor(shift)
     fraction = shift - whole
@@ -50,7 +50,7 @@ class Projection:
         my, mx = self.margin
         return tuple(
             tuple(
-                tuple((my + ty, mx + tx, wy * wx) for ty, wy in _taps(y) for tx, wx in _taps(x))
+                tuple((my + ty, mx + tx, wy * wx) for ty, wy in taps_of(y) for tx, wx in taps_of(x))
                 for x, y in layers
             )
             for layers in self.shifts
@@ -176,7 +176,7 @@ def response(shift: float, frequencies: Float[Tensor, " f"]) -> Complex[Tensor, 
         shift: pixels.
         frequencies: cycles per pixel.
     """
-    taps = _taps(shift)
+    taps = taps_of(shift)
     return sum_of([w * torch.exp(2j * math.pi * frequencies * offset) for offset, w in taps])
 
 

@@ -68,7 +68,7 @@ def test_the_fast_steps_are_those_of_the_formula(size, steps):
         for rows in model.parameters():
             rows.add_(torch.randn_like(rows), alpha=0.1)
     problem = Problem.of(Display.load("additive-3"), torch.rand(25, 2, *size))
-    made = solve(problem, model.solver(), iterations=steps)
+    made = solve(problem, model.rows().direct, iterations=steps)
     assert torch.allclose(made.layers, model(problem), atol=2e-5)
 
 
@@ -83,7 +83,7 @@ def test_gradients_of_the_formula_are_right():
         return (seen - problem.target).square().mean().log()
 
     loss().backward()
-    for rows in model.parameters():
+    for rows in (model.full, model.coarse):
         for place in ((0, 0), (1, 0), (1, 1), (1, 2), (0, 3)):
             slopes = []
             with torch.no_grad():
@@ -112,7 +112,7 @@ def test_more_steps_are_better_and_more_than_learned_go_on():
 )
 @pytest.mark.parametrize("kind", UNSEEN)
 def test_learned_steps_hold_on_displays_they_were_not_learned_on(kind, link, counts, worse):
-    """Three are as good as five of the direct solver; a sweep behind them as behind twenty."""
+    """Three are as good as five of the direct solver; a Newton step as a sweep behind twenty."""
     shown = display(f'link = "{link}"\n{UNSEEN[kind]}')
     grid = shown.geometry.grid
     assert grid is not None
@@ -149,14 +149,13 @@ def test_the_steps_that_ship_are_small_and_say_what_they_are(link):
     assert found.card.training["command"] == f"layerfield train fast-{link}"
 
 
-def test_a_file_of_learned_steps_is_read_as_it_was_written(tmp_path):
-    known = shipped_steps("additive")
+@pytest.mark.parametrize("link", LINKS)
+def test_a_file_of_learned_steps_is_read_as_it_was_written(tmp_path, link):
+    known = shipped_steps(link)
     write_learned(tmp_path / "a.safetensors", known)
     again = read_learned(tmp_path / "a.safetensors")
     assert again.card == known.card
-    for number, solver in known.steps.items():
-        for mine, theirs in zip(again.steps[number].full, solver.full, strict=True):
-            assert mine == theirs
+    assert again.steps == known.steps
 
 
 @pytest.mark.parametrize("what", ["nothing", "other", "text"])
@@ -202,6 +201,8 @@ def test_steps_are_trained_by_a_command_that_goes_on_where_it_was_stopped(tmp_pa
         (("[1.0, -1.0]", "[nan, 1.0]"), "finite"),
         (("[1.0, -1.0]", "[]"), "disparity"),
         (("size = 64", "size = 6"), "then[0].size"),
+        (("coarse = 2", "coarse = 2\nbefore = 3"), "expected 0 where light is additive"),
+        (('link = "additive"', 'link = "multiplicative"'), "expected 1 or more"),
     ],
 )
 def test_a_wrong_recipe_of_steps_is_one_line(tmp_path, monkeypatch, change, said):
@@ -228,7 +229,7 @@ def test_the_direct_solver_behind_the_last_step_is_the_plain_one():
     field = procedural_light_field(size=(48, 48), seed=2)
     shown = Display.load("additive-3")
     problem = pose(field, shown)
-    one = shipped_steps("additive").steps[1]
+    one = shipped_steps("additive").solver(1)
     layers = solve(problem, one, iterations=1).layers
     expected = solve(problem, FourierAdmm(), iterations=2, init=layers).layers
     assert torch.allclose(solve(problem, one, iterations=3).layers, expected, atol=1e-6)

@@ -1,13 +1,15 @@
 """The method `fast`: the direct solver with steps whose constants were learned.
 
-They are learned for light that adds up and for the logarithms of light that multiplies, on random
-scenes and displays of many kinds, and serve any number of views and layers at any spacing. A file
-of learned steps is safetensors: `N.full` and `N.coarse` hold the constants of N steps, a row each;
-the metadata say what they are for.
+They are learned for light that adds up and for light that multiplies, on random scenes and displays
+of many kinds, and serve any number of views and layers at any spacing. A file of learned steps is
+safetensors: `N.full`, `N.coarse` and `N.newton` hold the constants of N steps, a row each (of steps
+on light that multiplies N are Newton's, behind `full` ones on logarithms); the metadata say what
+they are for.
 """
 
 import json
-from collections.abc import Mapping
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -16,19 +18,21 @@ from typing import Any
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
+from torch import Tensor
 
 from layerfield.display import Display
 from layerfield.io.safe_output import whole_file
-from layerfield.links import Link, Multiplicative
+from layerfield.links import LINKS, Link, Multiplicative
 from layerfield.methods import RunOptions, SolverMethod
-from layerfield.solve import Problem, Solution
+from layerfield.solve import Problem, Solution, Solver
 from layerfield.solvers.fourier_start import FourierStart
 from layerfield.solvers.learned_admm import Constants, LearnedAdmm
+from layerfield.solvers.newton_admm import FourierNewton, NewtonAdmm
 from layerfield.solvers.warm_admm import WarmAdmm
 from layerfield.weights import TRAINED, WEIGHT_SUFFIX
 
 _KEY = "layerfield"  # of the metadata
-_PARTS = ("full", "coarse")
+_STEPS = 4  # unless told otherwise
 
 
 @dataclass(frozen=True)
@@ -50,29 +54,57 @@ class LearnedCard:
     training: dict[str, Any]
 
 
+@dataclass(frozen=True)
+class Rows:
+    """The constants of a number of steps: see `LearnedAdmm` and, for `newton`, `NewtonAdmm`."""
+
+    full: Sequence[Constants]
+    coarse: Sequence[Constants] = ()
+    newton: Sequence[Constants] = ()
+
+    @property
+    def direct(self) -> LearnedAdmm:
+        """The solver of what adds up."""
+        return LearnedAdmm(self.full, self.coarse)
+
+
 @dataclass(frozen=True, eq=False)
 class Learned:
     """Learned steps.
 
     Args:
-        steps: the solver that makes so many steps.
+        steps: the constants of so many steps.
         card: what its file says.
     """
 
-    steps: Mapping[int, LearnedAdmm]
+    steps: Mapping[int, Rows]
     card: LearnedCard
 
-    def at_most(self, count: int) -> LearnedAdmm:
-        """Return the solver of the largest number of steps that does not exceed a count."""
-        return self.steps[max(number for number in self.steps if number <= count)]
+    def at_most(self, count: int) -> Rows:
+        """Return the constants of the largest number of steps that does not exceed a count.
+
+        Of none, those of the smallest.
+        """
+        least = min(self.steps)
+        return self.steps[max((n for n in self.steps if n <= count), default=least)]
+
+    def solver(self, count: int) -> Solver:
+        """Return what makes so many steps from views alone; others go on behind the last."""
+        rows = self.at_most(count)
+        if LINKS[self.card.link].is_sum:
+            return rows.direct
+        dark = Multiplicative(darkest=self.card.darkest)
+        start = FourierStart(rows.direct, len(rows.full), nearly=dark)
+        return FourierNewton(start, NewtonAdmm(rows.newton))
 
 
 def write_learned(path: Path, learned: Learned) -> None:
     """Write a file of learned steps, whole or not at all; an earlier one is replaced."""
     tensors = {
         f"{number}.{part}": torch.tensor([list(asdict(row).values()) for row in rows])
-        for number, solver in learned.steps.items()
-        for part, rows in zip(_PARTS, (solver.full, solver.coarse), strict=True)
+        for number, known in learned.steps.items()
+        for part, rows in vars(known).items()
+        if rows
     }
     with whole_file(path, force=True) as temporary:
         save_file(tensors, temporary, {_KEY: json.dumps(asdict(learned.card), sort_keys=True)})
@@ -87,12 +119,12 @@ def read_learned(path: Path) -> Learned:
     try:
         with safe_open(path, "pt") as file:
             card = LearnedCard(**json.loads((file.metadata() or {})[_KEY]))
-            rows = {
-                name: [Constants(*row) for row in file.get_tensor(name).tolist()]
-                for name in file.keys()  # noqa: SIM118
-            }
-        numbers = sorted({int(name.partition(".")[0]) for name in rows})
-        made = {n: LearnedAdmm(rows[f"{n}.full"], rows[f"{n}.coarse"]) for n in numbers}
+            parts: dict[int, dict[str, tuple[Constants, ...]]] = defaultdict(dict)
+            for name in sorted(file.keys()):
+                number, _, part = name.partition(".")
+                rows = file.get_tensor(name).tolist()
+                parts[int(number)][part] = tuple(Constants(*row) for row in rows)
+        made = {number: Rows(**known) for number, known in sorted(parts.items())}
     except FileNotFoundError:
         raise ValueError(f"there is no file {path}; expected learned steps") from None
     except (SafetensorError, KeyError, ValueError, TypeError, OSError):
@@ -119,28 +151,30 @@ def warm_steps(count: int) -> WarmAdmm:
 class FastMethod(SolverMethod):
     """Learned steps; see `LearnedAdmm`.
 
-    Where light adds up, an iteration is a step. Where it is multiplied, all steps are the start,
-    and an iteration is a sweep.
+    Where light adds up, an iteration is a step. Where it is multiplied, steps on logarithms are the
+    start, and an iteration is a Newton step; of displays with subframes, which those do not serve,
+    a sweep.
     """
 
     @classmethod
     def shipped(cls) -> "FastMethod":
         """Return the method with the steps that come with the package."""
-        summary = "direct solver with learned steps; where light is multiplied followed by sweeps"
         links = ("additive", "multiplicative")
-        return cls("fast", summary, 4, links, _before_sweeps)
+        return cls("fast", "direct solver with learned steps", _STEPS, links, _learned)
 
     def run(self, problem: Problem, display: Display, options: RunOptions) -> Solution:
-        known = shipped_steps(problem.link.name)
-        if not problem.link.is_sum:
-            return super().run(problem, display, options)
-        solver = known.at_most(max(options.iterations, 1))
+        solver = shipped_steps(problem.link.name).solver(options.iterations)
+        if isinstance(solver, FourierNewton) and problem.subframes > 1:
+            solver = solver.start
+        elif isinstance(solver, FourierNewton) and not _goes_on(options.init):
+            solver = NewtonAdmm()
         return SolverMethod.run(replace(self, make=lambda _: solver), problem, display, options)
 
 
-def _before_sweeps(link: Link) -> FourierStart:
-    """Return what makes a start with all learned steps, in logarithms, then sweeps."""
-    learned = shipped_steps(link.name)
-    steps = max(learned.steps)
-    dark = Multiplicative(darkest=learned.card.darkest)
-    return FourierStart(learned.steps[steps], direct_iterations=steps, nearly=dark)
+def _goes_on(init: Solution | Tensor | None) -> bool:
+    """Whether learned steps are to be made: from views alone, or behind others."""
+    return init is None or isinstance(getattr(init, "solver", None), FourierNewton)
+
+
+def _learned(link: Link) -> Solver:
+    return shipped_steps(link.name).solver(_STEPS)

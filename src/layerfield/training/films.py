@@ -56,8 +56,9 @@ class Film:
 
     def first(self) -> Float[Tensor, "video 1 layer c ly lx"]:
         """Return s of the first frame, after all learned steps from nothing."""
-        steps = max(shipped_steps("additive").steps.items())[1]
-        made = solve(self.frames[0], steps, iterations=len(steps.full))
+        known = shipped_steps("additive")
+        steps = max(known.steps)
+        made = solve(self.frames[0], known.solver(steps), iterations=steps)
         return self.frames[0].gram.from_torus(made.state.shadow)
 
     def start(self, new: int, old: int, state: Tensor) -> Tensor:

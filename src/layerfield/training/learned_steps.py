@@ -12,40 +12,47 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from layerfield.fast import Rows
 from layerfield.frequencies import Spectral, low_part, multiply, replace_low_part_, resolvent
 from layerfield.gram import Gram
+from layerfield.projection import sum_of
 from layerfield.solve import Problem
-from layerfield.solvers.learned_admm import BALANCE, COARSE, Constants, LearnedAdmm, coarse_grid
+from layerfield.solvers.learned_admm import BALANCE, COARSE, Constants, coarse_grid
+from layerfield.solvers.newton_admm import first_dual, scale_of, slope
 
 _FIRST = {"penalty": math.log(0.02), "relaxation": 1.6, "trust": 1.0, "kept": 0.6, "momentum": 0.0}
 _LAST_PENALTY = math.log(0.1)
+_FIRST_NEWTON = [math.log(0.4), 1.0, 1.0, 1.0, 0.0]
 # Least penalty on large pixels. Softer ones serve small scenes, but let light answer to what is far
 # away: worse on large pictures, and layers flicker when something scrolls in.
 _SOFTEST = 0.02
 
 
 class LearnedSteps(nn.Module):
-    """Constants of full and coarse steps, to be learned; see `LearnedAdmm` for the formula.
+    """Constants of steps, to be learned; see `LearnedAdmm` and `NewtonAdmm` for the formulas.
 
     Args:
         full: number of steps.
         coarse: number of steps on large pixels.
+        newton: number of steps behind them, on light that is multiplied.
 
     Attributes:
         full: a row for every step, in the order of `Constants`; the logarithm of the penalty.
         coarse: the same; of the penalty above its least.
+        newton: as `full`.
     """
 
-    def __init__(self, full: int, coarse: int) -> None:
+    def __init__(self, full: int, coarse: int, newton: int = 0) -> None:
         super().__init__()
         self.full = nn.Parameter(_start(full))
         self.coarse = nn.Parameter(_start(coarse))
+        self.newton = nn.Parameter(torch.tensor([_FIRST_NEWTON]).repeat(newton, 1))
 
     @torch.no_grad()
-    def solver(self) -> LearnedAdmm:
-        """Return the solver with what was learned."""
-        full, coarse = _real(self.full).tolist(), _real(self.coarse, _SOFTEST).tolist()
-        return LearnedAdmm([Constants(*row) for row in full], [Constants(*row) for row in coarse])
+    def rows(self) -> Rows:
+        """Return what was learned."""
+        made = _real(self.full), _real(self.coarse, _SOFTEST), _real(self.newton)
+        return Rows(*(tuple(Constants(*row) for row in rows.tolist()) for rows in made))
 
     def onward(
         self, problem: Problem, state: Float[Tensor, "*batch 1 layer c ly lx"]
@@ -61,6 +68,29 @@ class LearnedSteps(nn.Module):
         data = _completed(problem, gram.to_torus(problem.even_start()))
         shadow = _first(gram.spectral, data, full[0], coarse, bounds)
         return gram.from_torus(_steps(problem, shadow, full[1:])).clamp(*bounds)
+
+    def behind(
+        self, problem: Problem, layers: Float[Tensor, "*batch 1 layer c ly lx"]
+    ) -> Float[Tensor, "*batch 1 layer c ly lx"]:
+        """Return layers after all Newton steps from some; see `NewtonAdmm`."""
+        bounds, gram, weight = problem.bounds, problem.gram, problem.gram.spectral.weight
+        curvature = torch.zeros_like(layers)
+        slope(problem, layers.detach(), curvature)
+        scale = scale_of(curvature, weight)
+        shadow, before = layers, None
+        for penalty, relaxation, trust, kept, momentum in _real(self.newton):
+            iterate = shadow.clamp(*bounds)
+            found, rho = _Slope.apply(iterate, problem), penalty * weight
+            dual = shadow - iterate
+            if before is None:
+                dual = first_dual(problem, iterate, found, rho * scale.square())
+            right = torch.fft.rfft2(gram.to_torus(found / scale + rho * trust * scale * dual))
+            solved = torch.fft.irfft2(_solved(gram.spectral, right, penalty), s=gram.torus)
+            moved = iterate + kept * dual - relaxation * gram.from_torus(solved) / scale
+            if before is not None:
+                moved = moved + momentum * (shadow - before)
+            shadow, before = moved, shadow
+        return shadow.clamp(*bounds)
 
 
 def squares(problem: Problem, layers: Tensor) -> Float[Tensor, " batch"]:
@@ -162,6 +192,35 @@ class _Band(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, slope: Tensor) -> tuple[Tensor, None]:  # pyright: ignore
         return ctx.gram.band(slope), None
+
+
+class _Slope(torch.autograd.Function):
+    """The slope of the error by layers; its own derivative view by view."""
+
+    @staticmethod
+    def forward(ctx: Any, layers: Tensor, problem: Problem) -> Tensor:
+        ctx.save_for_backward(layers)
+        ctx.problem = problem
+        return slope(problem, layers)
+
+    @staticmethod
+    def backward(ctx: Any, along: Tensor) -> tuple[Tensor, None]:  # pyright: ignore
+        (layers,), problem = ctx.saved_tensors, ctx.problem
+        projection, link = problem.projection, problem.link
+        result = torch.zeros_like(layers)
+        for i, weight in enumerate(problem.weights):
+            # <g, along> of this view, by the pixels that it looks at
+            directions = projection.windows(along, i)
+            pixels = [each.detach().requires_grad_() for each in projection.windows(layers, i)]
+            with torch.enable_grad():
+                residual = link.compose(pixels) - problem.light(i).unsqueeze(-4)
+                across = sum_of(
+                    [link.derivative(pixels, k) * each for k, each in enumerate(directions)]
+                )
+                slopes = torch.autograd.grad((across * residual).sum(), pixels)
+            for k, plane in enumerate(result.unbind(dim=-4)):
+                projection.scatter_(plane, slopes[k], i, k, weight)
+        return result, None
 
 
 class _Solve(torch.autograd.Function):

@@ -18,7 +18,6 @@ from layerfield.io import whole_file
 from layerfield.links import Multiplicative
 from layerfield.provenance import provenance
 from layerfield.solve import Problem, solve
-from layerfield.solvers.sweeps import best_layer
 from layerfield.synthesizer import SOLVERS
 from layerfield.training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from layerfield.training.films import Film, FilmLesson, films, last_frames
@@ -99,12 +98,7 @@ def shown_by(
     if problem.link.is_sum:
         return model(problem)
     known = replace(problem, link=Multiplicative(darkest=recipe.darkest))
-    layers = problem.link.from_sum(model(known.in_sum_domain()))
-    for _ in range(recipe.sweeps):
-        for k in range(problem.layer_count):
-            best = best_layer(problem, layers, k).unsqueeze(-4)
-            layers = torch.cat([layers[..., :k, :, :, :], best, layers[..., k + 1 :, :, :, :]], -4)
-    return layers
+    return model.behind(problem, problem.link.from_sum(model(known.in_sum_domain())))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,7 +137,7 @@ def train_steps(run: StepsRun) -> dict[str, Any]:
     for n, steps in enumerate(run.recipe.steps):
         if f"{steps}.full" not in tensors:
             began = time.monotonic()
-            model = LearnedSteps(steps, run.recipe.coarse)
+            model = LearnedSteps(*run.recipe.rows(steps))
             for k, (stage, given) in enumerate(posed):
                 learn(stage, model, lessons(stage, given), _ticker(run, n, k))
             seconds += time.monotonic() - began
@@ -160,7 +154,7 @@ def train_steps(run: StepsRun) -> dict[str, Any]:
     } | provenance(_CPU)
     with whole_file(run.out / RESULT, force=True) as path:
         path.write_text(json.dumps(facts, indent=1), encoding="utf-8")
-    made = {steps: model.solver() for steps, model in models.items()}
+    made = {steps: model.rows() for steps, model in models.items()}
     card = LearnedCard(recipe.solver, recipe.link, recipe.darkest, recipe.name, facts)
     write_learned(run.out / WEIGHTS, Learned(made, card))
     return facts
@@ -180,8 +174,8 @@ def _known(run: StepsRun) -> tuple[dict[str, Tensor], float]:
 
 
 def _model(recipe: StepsRecipe, steps: int, tensors: dict[str, Tensor]) -> LearnedSteps:
-    model = LearnedSteps(steps, recipe.coarse)
-    model.load_state_dict({key: tensors[f"{steps}.{key}"] for key in ("full", "coarse")})
+    model = LearnedSteps(*recipe.rows(steps))
+    model.load_state_dict({key: tensors[f"{steps}.{key}"] for key in model.state_dict()})
     return model
 
 
@@ -190,7 +184,7 @@ def _ticker(run: StepsRun, number: int, stage: int) -> Callable[[int], None]:
     recipe = run.recipe
     pixels = [each.scenes * each.size**2 for each in recipe.stages]
     work = [
-        (count + recipe.sweeps) * each * part.iterations
+        sum(recipe.rows(count)) * each * part.iterations
         for count in recipe.steps
         for part, each in zip(recipe.stages, pixels, strict=True)
     ]

@@ -53,9 +53,10 @@ class StepsRecipe(Table):
         description: one sentence.
         solver: what is trained.
         link: of the displays: light that adds up, or logarithms of light that multiplies.
-        steps: numbers of full steps; constants are learned for each by itself.
+        steps: numbers of steps; constants are learned for each by itself. Where light is
+            multiplied they are Newton steps.
+        before: number of steps on logarithms before those, where light is multiplied.
         coarse: number of steps on large pixels.
-        sweeps: over layers that follow, before layers are judged.
         darkest: darker light is taken for this before its logarithm.
         frames: of videos whose frames start from the one before; 1 for pictures that do not move.
         displays: to train on.
@@ -74,8 +75,8 @@ class StepsRecipe(Table):
     solver: Literal["fast"]
     link: Literal["additive", "multiplicative"]
     steps: Annotated[tuple[Count, ...], Field(min_length=1)]
+    before: Annotated[int, Field(strict=True, ge=0)] = 0
     coarse: Annotated[int, Field(strict=True, ge=0)] = 6
-    sweeps: Annotated[int, Field(strict=True, ge=0)] = 0
     darkest: Positive = 0.1
     frames: Count = 1
     displays: Annotated[tuple[Grid, ...], Field(min_length=1)]
@@ -87,6 +88,11 @@ class StepsRecipe(Table):
     rate: Positive = 0.02
     then: tuple[Stage, ...] = ()
     seed: Annotated[int, Field(strict=True, ge=0, le=255)] = 0
+
+    def rows(self, steps: int) -> tuple[int, int, int]:
+        """Return the numbers of full, coarse and Newton steps where so many steps are asked for."""
+        newton = self.link == "multiplicative"
+        return (self.before, self.coarse, steps) if newton else (steps, self.coarse, 0)
 
     @property
     def stages(self) -> list["StepsRecipe"]:
@@ -102,10 +108,19 @@ class StepsRecipe(Table):
 
     @model_validator(mode="after")
     def _warm_where_light_adds_up(self):
-        if self.frames > 1 and (self.link, self.coarse, self.sweeps) != ("additive", 0, 0):
+        if self.frames > 1 and (self.link, self.coarse) != ("additive", 0):
             raise ValueError(
-                f"'frames' is {self.frames}, but link, coarse and sweeps are '{self.link}', "
-                f"{self.coarse} and {self.sweeps}; expected 'additive', 0 and 0"
+                f"'frames' is {self.frames}, but link and coarse are '{self.link}' and "
+                f"{self.coarse}; expected 'additive' and 0"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _before_where_light_is_multiplied(self):
+        if (self.before > 0) != (self.link == "multiplicative"):
+            expected = "0" if self.link == "additive" else "1 or more"
+            raise ValueError(
+                f"'before' is {self.before}, expected {expected} where light is {self.link}"
             )
         return self
 

@@ -121,8 +121,10 @@ class Judged:
     frames: dict[int, tuple[Problem, float]]
 
     @classmethod
-    def of(cls, given: list[LightField], shown: Display, every: int) -> "Judged":
-        posed = {t: pose(given[t], shown) for t in range(SETTLED, len(given), every)}
+    def of(
+        cls, given: list[LightField], shown: Display, every: int, first: int = SETTLED
+    ) -> "Judged":
+        posed = {t: pose(given[t], shown) for t in range(first, len(given), every)}
         known = {t: (p, reference(p).mean_square_error) for t, p in posed.items()}
         return cls(given, shown, known)
 

@@ -73,6 +73,10 @@ class KeptViews:
         made = law(table)
         return self if made is table else replace(self, table=made)
 
+    def channels(self, part: slice) -> "KeptViews":
+        """Return some colour channels of every view, which share their memory with the whole."""
+        return replace(self, stored=self.stored[..., part, :, :])
+
     def cut(self, rows: slice, columns: slice) -> "KeptViews":
         """Return a part of every view, which shares its memory with the whole."""
         return replace(self, stored=self.stored[..., rows, columns])

@@ -6,7 +6,7 @@ passed along. An unrolled network calls `step` itself.
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -75,11 +75,9 @@ class Problem:
             self.projection, Additive(), views, self.weights, bounds=self.link.sum_bounds
         )
 
-    def channels(self) -> Iterator["Problem"]:
-        """Return the problem of every colour channel by itself; no link mixes them."""
-        stored = self.views.stored
-        for c in range(stored.shape[-3]):
-            yield replace(self, views=replace(self.views, stored=stored[..., c : c + 1, :, :]))
+    def channels(self, part: slice) -> "Problem":
+        """Return the problem of some colour channels by themselves; no link mixes them."""
+        return replace(self, views=self.views.channels(part))
 
     def light(self, index: int) -> Float[Tensor, "*batch c y x"]:
         """Return what one view is to show."""

@@ -35,11 +35,13 @@ def moved(whole: LightField, shift: int) -> LightField:
     return LightField(cut.contiguous(), GRID)
 
 
-def likeness(first: torch.Tensor, later: torch.Tensor, shift: int, border: int) -> float:
+def likeness(first: torch.Tensor, later: torch.Tensor, shift: int, border: int) -> float | None:
+    """Return the PSNR of layers against those of moved views; None where they are equal."""
     height, width = first.shape[-2:]
     there = first[..., shift:, shift:][..., border:-border, border:-border]
     here = later[..., : height - shift, : width - shift][..., border:-border, border:-border]
-    return decibels((there - here).square().mean().item())
+    error = (there - here).square().mean().item()
+    return round(decibels(error), 2) if error > 0 else None
 
 
 def main(out: Path, methods: Sequence[str]) -> None:
@@ -54,7 +56,7 @@ def main(out: Path, methods: Sequence[str]) -> None:
             views = {n: moved(whole, n) for n in (0, *SHIFTS)}
             layers = {n: synthesize(views[n], display, method=name).layers for n in views}
             for border in BORDERS:
-                psnr = {n: round(likeness(layers[0], layers[n], n, border), 2) for n in SHIFTS}
+                psnr = {n: likeness(layers[0], layers[n], n, border) for n in SHIFTS}
                 rows.append({"display": preset, "method": name, "border": border, "psnr": psnr})
                 print(preset, name, border, psnr, flush=True)
             command = f"python benchmarks/shifts.py OUT.json --methods {','.join(methods)}"

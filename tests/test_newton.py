@@ -124,6 +124,16 @@ def test_more_newton_steps_are_better_and_more_than_learned_go_on():
     assert max(shipped_steps("multiplicative").steps) < 20
 
 
+def test_behind_the_learned_steps_a_solution_goes_on_as_if_never_stopped():
+    shown = Display.load("multiplicative-3")
+    field = procedural_light_field(size=(48, 56), seed=2)
+    most = max(shipped_steps("multiplicative").steps)
+    whole = synthesize(field, shown, method="fast", iterations=most + 3)
+    first = synthesize(field, shown, method="fast", iterations=most)
+    second = synthesize(field, shown, method="fast", iterations=3, init=first)
+    torch.testing.assert_close(second.layers, whole.layers, atol=1e-6, rtol=0)
+
+
 def test_subframes_are_left_to_sweeps():
     """Newton steps know one subframe only; the learned start serves both."""
     text = 'name = "d"\nlink = "multiplicative"\nviews = [3, 3]\ndisparity = [1, -1]\nsubframes = 2'

@@ -173,7 +173,8 @@ class FastMethod(SolverMethod):
 
 def _goes_on(init: Solution | Tensor | None) -> bool:
     """Whether learned steps are to be made: from views alone, or behind others."""
-    return init is None or isinstance(getattr(init, "solver", None), FourierNewton)
+    learned = isinstance(init, Solution) and isinstance(init.solver, FourierNewton)
+    return init is None or learned
 
 
 def _learned(link: Link) -> Solver:

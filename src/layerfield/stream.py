@@ -9,8 +9,8 @@ with e the balanced start, every layer the mean of what its viewers see, and m t
 the middle of the viewers sees, found by block matching. What comes into the picture starts from
 e_new alone. Without m the dual holds pixels at bounds that have moved on, and a start can be worse
 than none. Where light adds up, `fast` has steps that were learned for such a start.
-Where the direct solver makes the start of every run and sweeps follow (links that are no sum),
-that start is better than moved layers: each frame has its own, and fewer sweeps.
+Where the direct solver makes the start of every run and sweeps or Newton steps follow (links that
+are no sum), that start is better than moved layers: each frame has its own, and fewer of those.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -152,7 +152,7 @@ def _next_frame(
 
 
 def _starts_itself(method: SolverMethod, display: Display) -> bool:
-    """Whether the direct solver makes the start of every run, before sweeps."""
+    """Whether the direct solver makes the start of every run, before what refines it."""
     if isinstance(method, FastMethod):
         return not display.link.is_sum
     made = method.make if display.geometry.is_regular else method.apart

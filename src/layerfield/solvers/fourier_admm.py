@@ -90,9 +90,18 @@ class FourierAdmm:
 
 
 def _dual(problem: Problem, iterate: Tensor, rho: float) -> Tensor:
-    """The dual of layers that are nearly optimal: u = -gradient / rho where a bound holds."""
-    low, high = problem.bounds
     gradient = problem.gram(iterate)
     problem.gram.from_torus(gradient).sub_(problem.back_projected)
+    return dual_at_bounds(iterate, gradient, problem.bounds, rho)
+
+
+def dual_at_bounds(
+    iterate: Float[Tensor, "*batch layer c y x"],
+    gradient: Float[Tensor, "*batch layer c y x"],
+    bounds: tuple[float, float],
+    rho: float | Tensor,
+) -> Float[Tensor, "*batch layer c y x"]:
+    """Return the dual of nearly optimal layers: u = -gradient / rho where a bound holds."""
+    low, high = bounds
     held = ((iterate <= low) & (gradient > 0)) | ((iterate >= high) & (gradient < 0))
     return torch.where(held, gradient / -rho, 0)

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from layerfield.frequencies import multiply, to_pixels
 from layerfield.solve import Problem
+from layerfield.solvers.fourier_admm import dual_at_bounds
 from layerfield.solvers.fourier_start import FourierStart
 from layerfield.solvers.learned_admm import BALANCE, Constants
 
@@ -70,7 +71,7 @@ class NewtonAdmm:
             curvature = torch.zeros_like(iterate)
             found = slope(problem, iterate, curvature)
             scale = scale_of(curvature, spectral.weight)
-            dual = first_dual(problem, iterate, found, rho * scale.square())
+            dual = dual_at_bounds(iterate, found, problem.bounds, rho * scale.square())
         else:
             found, scale = slope(problem, iterate), state.scale
             dual = state.shadow - iterate
@@ -110,8 +111,9 @@ class FourierNewton:
     newton: NewtonAdmm
 
     def init(self, problem: Problem, start: NewtonState | Tensor | None) -> NewtonState:
-        first = self.start.init(problem, None).layers if start is None else start
-        return self.newton.init(problem, first)
+        if start is None:
+            start = self.start.layers(problem, self.start.init(problem, None))
+        return self.newton.init(problem, start)
 
     def step(self, problem: Problem, state: NewtonState) -> NewtonState:
         return self.newton.step(problem, state)
@@ -160,15 +162,3 @@ def scale_of(
 ) -> Float[Tensor, "*batch 1 layer c ly lx"]:
     """Return D of the curvature, in place; no less than a tenth of what clear layers have."""
     return curvature.div_(weight).clamp_(min=_LEAST).sqrt_()
-
-
-def first_dual(
-    problem: Problem,
-    iterate: Float[Tensor, "*batch 1 layer c ly lx"],
-    found: Float[Tensor, "*batch 1 layer c ly lx"],
-    stiffness: Float[Tensor, "*batch 1 layer c ly lx"],
-) -> Float[Tensor, "*batch 1 layer c ly lx"]:
-    """Return the dual of layers nobody has worked on: what holds the slope where a bound does."""
-    low, high = problem.bounds
-    held = ((iterate <= low) & (found > 0)) | ((iterate >= high) & (found < 0))
-    return torch.where(held, -found / stiffness, 0)

@@ -10,7 +10,7 @@ from torch import Tensor
 from layerfield.frequencies import Spectral, multiply, to_pixels
 from layerfield.gram import fast_length, symbol_of
 from layerfield.solve import Problem
-from layerfield.solvers.fourier_admm import AdmmState, FourierAdmm
+from layerfield.solvers.fourier_admm import AdmmState, FourierAdmm, dual_at_bounds
 
 _LEAST_CORE = 16  # pixels of a tile that are not overlap
 
@@ -125,12 +125,10 @@ class TiledAdmm(FourierAdmm):
 
 
 def _dual(problem: Problem, layers: Tensor, rho: float) -> Tensor:
-    """The dual of layers that are nearly optimal: u = -gradient / rho where a bound holds."""
-    gradient, (low, high) = torch.zeros_like(layers), problem.bounds
+    gradient = torch.zeros_like(layers)
     problem.projection.add_normal_(gradient, layers, problem.weights)
     gradient -= problem.back_projected
-    held = ((layers <= low) & (gradient > 0)) | ((layers >= high) & (gradient < 0))
-    return torch.where(held, gradient / -rho, 0)
+    return dual_at_bounds(layers, gradient, problem.bounds, rho)
 
 
 def _tile_length(length: int, size: int) -> int:

@@ -17,8 +17,9 @@ from layerfield.frequencies import Spectral, low_part, multiply, replace_low_par
 from layerfield.gram import Gram
 from layerfield.projection import sum_of
 from layerfield.solve import Problem
+from layerfield.solvers.fourier_admm import dual_at_bounds
 from layerfield.solvers.learned_admm import BALANCE, COARSE, Constants, coarse_grid
-from layerfield.solvers.newton_admm import first_dual, scale_of, slope
+from layerfield.solvers.newton_admm import scale_of, slope
 
 _FIRST = {"penalty": math.log(0.02), "relaxation": 1.6, "trust": 1.0, "kept": 0.6, "momentum": 0.0}
 _LAST_PENALTY = math.log(0.1)
@@ -83,7 +84,7 @@ class LearnedSteps(nn.Module):
             found, rho = _Slope.apply(iterate, problem), penalty * weight
             dual = shadow - iterate
             if before is None:
-                dual = first_dual(problem, iterate, found, rho * scale.square())
+                dual = dual_at_bounds(iterate, found, bounds, rho * scale.square())
             right = torch.fft.rfft2(gram.to_torus(found / scale + rho * trust * scale * dual))
             solved = torch.fft.irfft2(_solved(gram.spectral, right, penalty), s=gram.torus)
             moved = iterate + kept * dual - relaxation * gram.from_torus(solved) / scale

@@ -9,8 +9,11 @@ import torch
 from jaxtyping import Complex, Float, Inexact
 from torch import Tensor
 
-_MOST_KEPT = 1 << 29  # bytes of the resolvents of a display
+_MOST_KEPT = 1 << 30  # bytes of the resolvents of a display
 _LARGE = 1 << 14  # frequencies of a plane from which on it is transformed by itself
+
+Matrix = tuple[tuple[Tensor, ...], ...]
+"""Entries as `multiply` takes them: one small matrix for every frequency; see `interleaved`."""
 
 
 class Spectral:
@@ -26,10 +29,10 @@ class Spectral:
         self, symbol: Inexact[Tensor, "layer layer fy fx"], torus: tuple[int, int], weight: float
     ) -> None:
         self.symbol, self.torus, self.weight = symbol, torus, weight
-        self._kept: dict[tuple[float, ...], Tensor] = {}
+        self._kept: dict[tuple[float, ...], Matrix] = {}
         self._coarser: dict[int, Spectral] = {}
 
-    def resolvent(self, penalty: float, balance: float, gain: float = 1.0) -> Tensor:
+    def resolvent(self, penalty: float, balance: float, gain: float = 1.0) -> Matrix:
         """Return g rho (G + rho I)^-1 for `multiply`, rho = penalty times the weight of all views.
 
         Computed once for a penalty: it depends on the display alone.
@@ -68,7 +71,7 @@ class Spectral:
         return along_y[:, None] * along_x
 
 
-def resolvent(spectral: Spectral, penalty: float, balance: float, gain: float = 1.0) -> Tensor:
+def resolvent(spectral: Spectral, penalty: float, balance: float, gain: float = 1.0) -> Matrix:
     """Return what `Spectral.resolvent` keeps."""
     rho, matrix = penalty * spectral.weight, spectral.symbol.clone()
     identity = torch.eye(len(matrix), dtype=matrix.dtype, device=matrix.device)
@@ -132,32 +135,36 @@ def to_pixels(
     return result
 
 
-def _size(values: Tensor) -> int:
-    return values.numel() * values.element_size()
+def _size(matrix: Matrix) -> int:
+    entries = {id(entry): entry for row in matrix for entry in row}
+    return sum(entry.numel() * entry.element_size() for entry in entries.values())
 
 
-def interleaved(
-    matrix: Inexact[Tensor, "layer layer fy fx"],
-) -> Tensor:
-    """Prepare a matrix for `multiply`.
+def interleaved(matrix: Inexact[Tensor, "layer layer fy fx"]) -> Matrix:
+    """Prepare a Hermitian matrix for `multiply`.
 
-    A real matrix acts on real and imaginary parts alike; with every entry twice, it fits a
-    spectrum whose real and imaginary parts lie side by side in one long real row.
+    A real one acts on real and imaginary parts alike; with every entry twice, it fits a spectrum
+    whose real and imaginary parts lie side by side in one long real row. It is symmetric, and keeps
+    the entries above its diagonal once.
     """
-    return matrix if matrix.is_complex() else matrix.repeat_interleave(2, dim=-1)
+    if matrix.is_complex():
+        return tuple(tuple(row.unbind()) for row in matrix)
+    count = range(len(matrix))
+    upper = {(k, m): matrix[k, m].repeat_interleave(2, dim=-1) for k in count for m in count[k:]}
+    return tuple(tuple(upper[min(k, m), max(k, m)] for m in count) for k in count)
 
 
 def multiply(
-    matrix: Tensor, spectrum: Complex[Tensor, "*batch layer c fy fx"]
+    matrix: Matrix, spectrum: Complex[Tensor, "*batch layer c fy fx"]
 ) -> Complex[Tensor, "*batch layer c fy fx"]:
     """Multiply every frequency of a spectrum by its layer x layer matrix, once `interleaved`."""
-    if matrix.is_complex():
+    if matrix[0][0].is_complex():
         return _multiply(matrix, spectrum)
     product = _multiply(matrix, torch.view_as_real(spectrum).flatten(-2))
     return torch.view_as_complex(product.unflatten(-1, (-1, 2)))
 
 
-def _multiply(matrix: Tensor, spectrum: Tensor) -> Tensor:
+def _multiply(matrix: Matrix, spectrum: Tensor) -> Tensor:
     product = torch.empty_like(spectrum)
     planes = spectrum.unbind(dim=-4)
     for row, total in zip(matrix, product.unbind(dim=-4), strict=True):

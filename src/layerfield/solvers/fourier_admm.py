@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.frequencies import multiply, to_pixels
+from layerfield.frequencies import Matrix, multiply, to_pixels
 from layerfield.solve import Problem
 
 
@@ -21,7 +21,7 @@ class AdmmState:
     """
 
     shadow: Float[Tensor, "*batch 1 layer c ty tx"]
-    resolvent: Tensor
+    resolvent: Matrix
     rho: float
 
 

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.frequencies import Spectral, multiply, to_pixels
+from layerfield.frequencies import Matrix, Spectral, multiply, to_pixels
 from layerfield.gram import fast_length, symbol_of
 from layerfield.solve import Problem
 from layerfield.solvers.fourier_admm import AdmmState, FourierAdmm, dual_at_bounds
@@ -138,11 +138,13 @@ def _tile_length(length: int, size: int) -> int:
     return next(n for n in range(size - size % 2, 0, -2) if fast_length(n) == n)
 
 
-def _reach(resolvent: Tensor, torus: tuple[int, int], axis: int, rest: float) -> int:
+def _reach(resolvent: Matrix, torus: tuple[int, int], axis: int, rest: float) -> int:
     """Return how far the kernel of a resolvent reaches along an axis, but for the rest of it."""
-    layers = torch.eye(len(resolvent), device=resolvent.device)[..., None, None, None]
-    impulses = layers.expand(-1, -1, 1, torus[0], torus[1] // 2 + 1)  # one a layer, their spectrum
-    answers = multiply(resolvent, impulses.to(resolvent.dtype.to_complex()))[:, :, 0]
+    like = resolvent[0][0]
+    layers = torch.eye(len(resolvent), dtype=like.dtype.to_complex(), device=like.device)
+    # one impulse a layer, their spectrum
+    impulses = layers[..., None, None, None].repeat(1, 1, 1, torus[0], torus[1] // 2 + 1)
+    answers = multiply(resolvent, impulses)[:, :, 0]
     kernel = torch.fft.irfft2(answers, s=torus).abs().sum(dim=1).amax(dim=0)
     along = kernel.sum(dim=1 - axis).double().cpu()
     places = torch.arange(len(along))

@@ -13,7 +13,14 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from layerfield.fast import Rows
-from layerfield.frequencies import Spectral, low_part, multiply, replace_low_part_, resolvent
+from layerfield.frequencies import (
+    Matrix,
+    Spectral,
+    low_part,
+    multiply,
+    replace_low_part_,
+    resolvent,
+)
 from layerfield.gram import Gram
 from layerfield.projection import sum_of
 from layerfield.solve import Problem
@@ -228,13 +235,14 @@ class _Solve(torch.autograd.Function):
     """R S with R = rho (G + rho I)^-1, hence dR / d rho = (R - R^2) / rho; R = R^H."""
 
     @staticmethod
-    def forward(ctx: Any, spectrum: Tensor, rho: Tensor, matrix: Tensor) -> Tensor:
+    def forward(ctx: Any, spectrum: Tensor, rho: Tensor, matrix: Matrix) -> Tensor:
         product = multiply(matrix, spectrum)
-        ctx.save_for_backward(product, rho, matrix)
+        ctx.save_for_backward(product, rho)
+        ctx.matrix = matrix
         return product
 
     @staticmethod
     def backward(ctx: Any, slope: Tensor) -> tuple[Tensor, Tensor, None]:  # pyright: ignore
-        product, rho, matrix = ctx.saved_tensors
+        (product, rho), matrix = ctx.saved_tensors, ctx.matrix
         by_rho = (product - multiply(matrix, product)) / rho
         return multiply(matrix, slope), (slope.conj() * by_rho).real.sum(), None

@@ -18,7 +18,6 @@ from typing import Any
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
-from torch import Tensor
 
 from layerfield.display import Display
 from layerfield.io.safe_output import whole_file
@@ -152,8 +151,8 @@ class FastMethod(SolverMethod):
     """Learned steps; see `LearnedAdmm`.
 
     Where light adds up, an iteration is a step. Where it is multiplied, steps on logarithms are the
-    start, and an iteration is a Newton step; of displays with subframes, which those do not serve,
-    a sweep.
+    start, and an iteration is a Newton step, learned ones from given layers too; of displays with
+    subframes, which those do not serve, a sweep.
     """
 
     @classmethod
@@ -166,15 +165,7 @@ class FastMethod(SolverMethod):
         solver = shipped_steps(problem.link.name).solver(options.iterations)
         if isinstance(solver, FourierNewton) and problem.subframes > 1:
             solver = solver.start
-        elif isinstance(solver, FourierNewton) and not _goes_on(options.init):
-            solver = NewtonAdmm()
         return SolverMethod.run(replace(self, make=lambda _: solver), problem, display, options)
-
-
-def _goes_on(init: Solution | Tensor | None) -> bool:
-    """Whether learned steps are to be made: from views alone, or behind others."""
-    learned = isinstance(init, Solution) and isinstance(init.solver, FourierNewton)
-    return init is None or learned
 
 
 def _learned(link: Link) -> Solver:

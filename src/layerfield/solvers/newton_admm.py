@@ -42,8 +42,9 @@ class NewtonAdmm:
         <g, p> + 1/2 <D p, G D p>,   D^2 = sum_i w_i A_i^T o_i^2 / sum_i w_i
 
     with the Gram matrix G of the sum and o_i the derivative of what view i shows by the pixel that
-    it looks at: pixels behind dark ones count for little. D is that of the start. ADMM on this, a
-    step for every slope:
+    it looks at: pixels behind dark ones count for little. D is found anew in the first three steps
+    and then in every third: in dark scenes one of the start leads astray. ADMM on this, a step for
+    every slope:
 
         z = clamp(s),  u = s - z
         s <- z + kept u - a D^-1 (G + rho I)^-1 (D^-1 g + rho trust D u)
@@ -67,14 +68,18 @@ class NewtonAdmm:
         known = self._constants(state.count)
         spectral, rho = problem.gram.spectral, known.penalty * problem.gram.spectral.weight
         iterate = state.shadow.clamp(*problem.bounds)
-        if state.scale is None:
+        if renews_scale(state.count):
             curvature = torch.zeros_like(iterate)
             found = slope(problem, iterate, curvature)
             scale = scale_of(curvature, spectral.weight)
-            dual = dual_at_bounds(iterate, found, problem.bounds, rho * scale.square())
         else:
             found, scale = slope(problem, iterate), state.scale
-            dual = state.shadow - iterate
+        assert scale is not None
+        dual = state.shadow - iterate
+        if state.scale is None:
+            dual = dual_at_bounds(iterate, found, problem.bounds, rho * scale.square())
+        elif scale is not state.scale:
+            dual *= (state.scale / scale).square_()  # of the same force, rho D^2 u
         # (D^-1 g + rho trust D u) / rho, and rho (G + rho I)^-1 of it
         right = found.div_(scale).div_(rho).addcmul_(dual, scale, value=known.trust)
         resolvent = spectral.resolvent(known.penalty, BALANCE, gain=-known.relaxation)
@@ -155,6 +160,11 @@ def slope(
                     bent = curvature[..., k, part, :, :]
                     projection.scatter_(bent, others * others, i, k, weight)
     return result
+
+
+def renews_scale(count: int) -> bool:
+    """Whether D is found anew in the step behind so many."""
+    return count < 3 or count % 3 == 0
 
 
 def scale_of(

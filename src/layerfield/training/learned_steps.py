@@ -26,7 +26,7 @@ from layerfield.projection import sum_of
 from layerfield.solve import Problem
 from layerfield.solvers.fourier_admm import dual_at_bounds
 from layerfield.solvers.learned_admm import BALANCE, COARSE, Constants, coarse_grid
-from layerfield.solvers.newton_admm import scale_of, slope
+from layerfield.solvers.newton_admm import renews_scale, scale_of, slope
 
 _FIRST = {"penalty": math.log(0.02), "relaxation": 1.6, "trust": 1.0, "kept": 0.6, "momentum": 0.0}
 _LAST_PENALTY = math.log(0.1)
@@ -82,14 +82,14 @@ class LearnedSteps(nn.Module):
     ) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         """Return layers after all Newton steps from some; see `NewtonAdmm`."""
         bounds, gram, weight = problem.bounds, problem.gram, problem.gram.spectral.weight
-        curvature = torch.zeros_like(layers)
-        slope(problem, layers.detach(), curvature)
-        scale = scale_of(curvature, weight)
-        shadow, before = layers, None
-        for penalty, relaxation, trust, kept, momentum in _real(self.newton):
-            iterate = shadow.clamp(*bounds)
-            found, rho = _Slope.apply(iterate, problem), penalty * weight
-            dual = shadow - iterate
+        shadow, before, scale = layers, None, torch.ones_like(layers)
+        for count, (penalty, relaxation, trust, kept, momentum) in enumerate(_real(self.newton)):
+            iterate, known = shadow.clamp(*bounds), scale
+            found, curvature = _Slope.apply(iterate, problem)
+            if renews_scale(count):
+                scale = scale_of(curvature.clone(), weight)
+            rho = penalty * weight
+            dual = (shadow - iterate) * (known / scale).square()
             if before is None:
                 dual = dual_at_bounds(iterate, found, bounds, rho * scale.square())
             right = torch.fft.rfft2(gram.to_torus(found / scale + rho * trust * scale * dual))
@@ -203,29 +203,34 @@ class _Band(torch.autograd.Function):
 
 
 class _Slope(torch.autograd.Function):
-    """The slope of the error by layers; its own derivative view by view."""
+    """The slope and the curvature of the error by layers; their own derivatives view by view."""
 
     @staticmethod
-    def forward(ctx: Any, layers: Tensor, problem: Problem) -> Tensor:
+    def forward(ctx: Any, layers: Tensor, problem: Problem) -> tuple[Tensor, Tensor]:
         ctx.save_for_backward(layers)
         ctx.problem = problem
-        return slope(problem, layers)
+        ctx.set_materialize_grads(False)
+        curvature = torch.zeros_like(layers)
+        return slope(problem, layers, curvature), curvature
 
     @staticmethod
-    def backward(ctx: Any, along: Tensor) -> tuple[Tensor, None]:  # pyright: ignore
+    def backward(  # pyright: ignore
+        ctx: Any, along: Tensor, bent: Tensor | None
+    ) -> tuple[Tensor, None]:
         (layers,), problem = ctx.saved_tensors, ctx.problem
         projection, link = problem.projection, problem.link
-        result = torch.zeros_like(layers)
+        result, bent = torch.zeros_like(layers), torch.zeros_like(layers) if bent is None else bent
         for i, weight in enumerate(problem.weights):
-            # <g, along> of this view, by the pixels that it looks at
-            directions = projection.windows(along, i)
+            # <g, along> + <D^2, bent> of this view, by the pixels that it looks at
+            shares = zip(projection.windows(along, i), projection.windows(bent, i), strict=True)
             pixels = [each.detach().requires_grad_() for each in projection.windows(layers, i)]
             with torch.enable_grad():
                 residual = link.compose(pixels) - problem.light(i).unsqueeze(-4)
+                others = [link.derivative(pixels, k) for k in range(len(pixels))]
                 across = sum_of(
-                    [link.derivative(pixels, k) * each for k, each in enumerate(directions)]
+                    [o * (g * residual + c * o) for o, (g, c) in zip(others, shares, strict=True)]
                 )
-                slopes = torch.autograd.grad((across * residual).sum(), pixels)
+                slopes = torch.autograd.grad(across.sum(), pixels)
             for k, plane in enumerate(result.unbind(dim=-4)):
                 projection.scatter_(plane, slopes[k], i, k, weight)
         return result, None

@@ -24,7 +24,7 @@ _STRIDES = 4
 class NewtonState:
     """Iterate and dual, s = z + u, those of one step ago, D, and the steps made.
 
-    At the start there are layers only: s is z.
+    At the start there are layers only: s is z. Without one of a step ago there is no momentum.
     """
 
     shadow: Float[Tensor, "*batch 1 layer c ly lx"]
@@ -88,7 +88,10 @@ class NewtonAdmm:
         moved.add_(iterate).add_(dual, alpha=known.kept)
         if state.before is not None:
             moved.add_(state.shadow - state.before, alpha=known.momentum)
-        return NewtonState(moved, state.shadow, scale, state.count + 1)
+        made = state.count + 1
+        # The last learned step looks to nothing behind it: not a change to be made once more.
+        before = None if made == len(self.full) else state.shadow
+        return NewtonState(moved, before, scale, made)
 
     def _constants(self, count: int) -> Constants:
         if count < len(self.full):

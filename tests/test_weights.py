@@ -31,6 +31,7 @@ from layerfield import (
 )
 from layerfield.display_spec import format_spec
 from layerfield.evaluate import parse_methods, tables
+from layerfield.metrics import decibels
 from layerfield.networks import NETWORKS, Network
 from layerfield.networks.frame import pixels
 from layerfield.networks.network import initialise, level
@@ -497,6 +498,43 @@ def test_tiles_make_the_same_as_the_whole(stocked, scene, monkeypatch, name, siz
     monkeypatch.setattr(methods, "tiled_pixels", tiled)
     parts = synthesize(field, ADDITIVE, method=name).layers
     torch.testing.assert_close(parts, whole, atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("margin", [2, 3])
+@pytest.mark.parametrize("size", range(40, 48))
+def test_views_are_continued_about_as_far_as_in_training(size, margin):
+    """Zeros follow: a network knows how far away they were around patches of whole strides."""
+
+    class Recorder(Network):
+        multiple = 8
+
+        def pixels(self, views: torch.Tensor) -> torch.Tensor:
+            assert views.shape[-2] % 8 == 0
+            beyond.append(views.shape[-2] - size - 2 * margin)
+            return views[:, : self.layers]
+
+    beyond: list[int] = []
+    made = pixels(Recorder(4, 2), torch.rand(1, 4, size, size), (margin, margin))
+    assert made.shape == (1, 2, size + 2 * margin, size + 2 * margin)
+    trained = -2 * margin % 8
+    assert trained - 1 <= beyond[0] < trained + 7
+    assert size % 8 or beyond[0] == trained
+
+
+@pytest.mark.parametrize("size", [131, 132])
+def test_the_u_net_serves_pictures_of_any_size(size):
+    """No side is a multiple of its stride of 8."""
+    field = procedural_light_field(size=(size, size), disparity_range=(-1.5, 1.5), seed=42)
+    losses = []
+    for side in (size, 128):
+        cut = LightField(field.stored[..., :side, :side].contiguous(), (5, 5))
+        problem = pose(cut, ADDITIVE)
+        made, best = (
+            problem.mean_square_error(synthesize(cut, ADDITIVE, method=name).layers)
+            for name in ("unet", "fourier-admm")
+        )
+        losses.append(decibels(best) - decibels(made))
+    assert losses[0] < losses[1] + 0.25
 
 
 @pytest.mark.parametrize("name", NETWORKS)

@@ -1,9 +1,9 @@
 """A network at work on pictures of any size: margin, padding, tiles.
 
 What a network sees outside the views: layers reach past the views by the display's margin, so views
-are continued by the nearest pixel over the margin and on to the next multiple of the network's
-stride; beyond that the convolutions see zeros. The margin of the layers is what the network says
-there, and losses and figures use the exact crop.
+are continued by the nearest pixel over the margin and on to a multiple of the network's stride,
+about as far as in training; beyond that the convolutions see zeros. The margin of the layers is
+what the network says there, and losses and figures use the exact crop.
 """
 
 from collections.abc import Iterator
@@ -60,10 +60,21 @@ def tiled_pixels(
 
 def _continued(network: Network, views: Tensor, margin: tuple[int, int]) -> Tensor:
     """Continue views by the nearest pixel over the margin and on to whole strides."""
-    (y, x), (height, width) = margin, views.shape[-2:]
-    more_y, more_x = (-(n + 2 * m) % network.multiple for n, m in ((height, y), (width, x)))
+    (y, x), (height, width), stride = margin, views.shape[-2:], network.multiple
+    more_y, more_x = _beyond(height, y, stride), _beyond(width, x, stride)
     wide = pad(views, (x, x + more_x, y, y + more_y), mode="replicate")
     return wide.contiguous(memory_format=torch.channels_last)
+
+
+def _beyond(length: int, margin: int, stride: int) -> int:
+    """Return how far to continue views behind the margin, to the right and below.
+
+    At most a pixel less than around patches whose length is a whole number of strides, as those of
+    training are. Behind come zeros, and a network has learned how far away those are: with no more
+    than the next whole stride takes, 124 pixels ended 0.7 dB below what they do with eight more.
+    """
+    least = max(-2 * margin % stride - 1, 0)
+    return least + -(length + 2 * margin + least) % stride
 
 
 def _tiles(height: int, width: int, side: int) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:

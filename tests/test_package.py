@@ -66,9 +66,10 @@ def test_lower_rooms_do_not_import_higher_ones():
     """Data flows one way; a room is imported only by rooms listed after it."""
     order = [
         "version", "nearest", "own_process", "memory", "toml_model", "geometry", "kept_views",
-        "light_field", "projection", "back_projection", "warped_projection", "panel_projection",
-        "frequencies", "band", "gram", "display_constants", "links", "composition", "transfer",
-        "panel_spec", "display_spec", "display", "panels", "motion", "solve", "between", "tone",
+        "light_field", "projection", "pieces", "back_projection", "warped_projection",
+        "panel_projection", "frequencies", "band", "gram", "display_constants", "links",
+        "composition", "transfer", "panel_spec", "display_spec", "display", "panels", "motion",
+        "solve", "between", "tone",
         "solvers", "panel_images", "networks", "metrics", "provenance", "scenes", "io", "frames",
         "rendering", "rgbd", "eyes", "animation", "plane_sweep", "disparity", "weights", "methods",
         "fast", "synthesizer", "stream", "reference", "evaluate", "remarks", "observers",

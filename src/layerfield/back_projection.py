@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.kept_views import LARGEST, KeptViews
+from layerfield.pieces import pieces
 from layerfield.projection import Projection
 
 _MOST = {torch.int16: 2**15 - 1, torch.int32: 2**31 - 1}  # the largest sums they hold
@@ -29,27 +30,33 @@ def back_projected(
         largest = LARGEST[views.stored.dtype]
         held = [dtype for dtype, most in _MOST.items() if largest * len(views) <= most]
         if held:
-            sums = _summed(projection, views.stored, held[0])
+            sums = _summed(projection, views, held[0])
             return sums.to(torch.float32).mul_(weights[0]).div_(largest)
-    first = views.stored
-    *batch, _, channels, _, _ = first.shape
-    size = projection.layer_size(first)
-    layers = views.like.new_zeros(*batch, len(projection.shifts[0]), channels, *size)
-    for i, weight in enumerate(weights):
-        view = views.view(i)
-        for k, layer in enumerate(layers.unbind(dim=-4)):
-            projection.scatter_(layer, view, i, k, weight)
+    layers = _none(projection, views, views.like.dtype)
+    for piece in pieces(projection, views):
+        seen, part = piece.of_views(views), piece.of_layers(layers).unbind(dim=-4)
+        for i, weight in enumerate(weights):
+            view = seen.view(i)
+            for k, layer in enumerate(part):
+                projection.scatter_(layer, view, i, k, weight)
     return layers
 
 
-def _summed(projection: Projection, codes: Tensor, dtype: torch.dtype) -> Tensor:
+def _summed(projection: Projection, views: KeptViews, dtype: torch.dtype) -> Tensor:
     """A^T of codes for shifts of whole pixels, in whole numbers."""
-    *batch, _, channels, height, width = codes.shape
-    size = projection.layer_size(codes)
-    shape = (*batch, len(projection.shifts[0]), channels, *size)
-    layers = torch.zeros(shape, dtype=dtype, device=codes.device)
-    for view, taps in zip(codes.unbind(dim=-4), projection.taps, strict=True):
-        wide = view.to(dtype)
-        for layer, ((top, left, _),) in zip(layers.unbind(dim=-4), taps, strict=True):
-            layer[..., top : top + height, left : left + width].add_(wide)
+    layers = _none(projection, views, dtype)
+    for piece in pieces(projection, views):
+        codes, part = piece.of_views(views).stored, piece.of_layers(layers).unbind(dim=-4)
+        height, width = codes.shape[-2:]
+        for view, taps in zip(codes.unbind(dim=-4), projection.taps, strict=True):
+            wide = view.to(dtype)
+            for layer, ((top, left, _),) in zip(part, taps, strict=True):
+                layer[..., top : top + height, left : left + width].add_(wide)
     return layers
+
+
+def _none(projection: Projection, views: KeptViews, dtype: torch.dtype) -> Tensor:
+    """Zeros for layers of these views."""
+    *batch, _, channels, _, _ = views.stored.shape
+    shape = (*batch, len(projection.shifts[0]), channels, *projection.layer_size(views.stored))
+    return torch.zeros(shape, dtype=dtype, device=views.stored.device)

@@ -73,13 +73,9 @@ class KeptViews:
         made = law(table)
         return self if made is table else replace(self, table=made)
 
-    def channels(self, part: slice) -> "KeptViews":
-        """Return some colour channels of every view, which share their memory with the whole."""
-        return replace(self, stored=self.stored[..., part, :, :])
-
-    def cut(self, rows: slice, columns: slice) -> "KeptViews":
+    def cut(self, channels: slice, rows: slice) -> "KeptViews":
         """Return a part of every view, which shares its memory with the whole."""
-        return replace(self, stored=self.stored[..., rows, columns])
+        return replace(self, stored=self.stored[..., channels, rows, :])
 
     def _values(self, stored: Tensor) -> Tensor:
         if not self.is_whole:

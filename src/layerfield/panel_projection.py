@@ -9,6 +9,7 @@ Panels of several sizes share one tensor `[..., layer, c, y, x]`, each in the to
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from jaxtyping import Float
@@ -38,6 +39,10 @@ class PanelProjection(Projection):
     views: tuple[int, int]
 
     @property
+    def is_local(self) -> bool:
+        return False
+
+    @cached_property
     def is_whole(self) -> bool:
         return False
 

@@ -44,6 +44,11 @@ class Projection:
         """The shifts of this projection; itself, where there is nothing else."""
         return self
 
+    @property
+    def is_local(self) -> bool:
+        """Whether every row of a view looks at rows of the layers no more than a margin away."""
+        return True
+
     @cached_property
     def taps(self) -> tuple[tuple[tuple[tuple[int, int, float], ...], ...], ...]:
         """`[view][layer]` -> (top row, left column, weight) of every window that is summed."""
@@ -56,7 +61,7 @@ class Projection:
             for layers in self.shifts
         )
 
-    @property
+    @cached_property
     def is_whole(self) -> bool:
         """Whether all shifts are whole pixels: `taps` is then all there is to say, one a window."""
         return all(len(taps) == 1 for layers in self.taps for taps in layers)
@@ -100,6 +105,24 @@ class Projection:
         height, width = values.shape[-2:]
         for top, left, weight in self.taps[view][index]:
             layer[..., top : top + height, left : left + width].add_(values, alpha=weight * factor)
+
+    def scatter_product_(
+        self,
+        layer: Float[Tensor, "*batch ly lx"],
+        one: Tensor,
+        other: Tensor,
+        view: int,
+        index: int,
+        factor: float = 1.0,
+    ) -> None:
+        """Add factor A_ik^T (one * other) to a layer, in place."""
+        if not self.is_whole:
+            self.scatter_(layer, one * other, view, index, factor)
+            return
+        ((top, left, weight),) = self.taps[view][index]
+        height, width = other.shape[-2:]
+        window = layer[..., top : top + height, left : left + width]
+        window.addcmul_(one, other, value=weight * factor)
 
     def forward(
         self, layers: Float[Tensor, "*batch layer c ly lx"]

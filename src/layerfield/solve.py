@@ -6,7 +6,7 @@ passed along. An unrolled network calls `step` itself.
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -23,6 +23,7 @@ from layerfield.gram import Gram
 from layerfield.kept_views import KeptViews
 from layerfield.links import Additive, Link
 from layerfield.memory import keep_large_blocks
+from layerfield.pieces import Piece, pieces
 from layerfield.projection import Projection
 
 _SEED = 0  # of what makes subframes differ
@@ -75,9 +76,10 @@ class Problem:
             self.projection, Additive(), views, self.weights, bounds=self.link.sum_bounds
         )
 
-    def channels(self, part: slice) -> "Problem":
-        """Return the problem of some colour channels by themselves; no link mixes them."""
-        return replace(self, views=self.views.channels(part))
+    def pieces(self) -> Iterator[tuple["Problem", Piece]]:
+        """Return the problem piece by piece, for what adds up view by view; see `Piece`."""
+        for piece in pieces(self.projection, self.views, self.subframes):
+            yield replace(self, views=piece.of_views(self.views)), piece
 
     def light(self, index: int) -> Float[Tensor, "*batch c y x"]:
         """Return what one view is to show."""

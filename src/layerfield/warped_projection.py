@@ -10,7 +10,7 @@ whose fraction grows from pixel to pixel.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -40,6 +40,10 @@ class WarpedProjection(Projection):
     magnifications: tuple[tuple[float, ...], ...]
 
     @property
+    def is_local(self) -> bool:
+        return False
+
+    @cached_property
     def is_whole(self) -> bool:
         return False
 

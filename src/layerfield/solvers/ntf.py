@@ -46,11 +46,13 @@ def _ratio(
     projection, link = problem.projection, problem.link
     wanted = torch.zeros_like(layers[..., index, :, :, :])
     found = torch.zeros_like(wanted)
-    for i, weight in enumerate(problem.weights):
-        pixels = projection.windows(layers, i)
-        others = link.derivative(pixels, index)
-        shown = link.compose(pixels).mean(dim=-4, keepdim=True)
-        target = problem.light(i).unsqueeze(-4)
-        projection.scatter_(wanted, others * target, i, index, weight)
-        projection.scatter_(found, others * shown, i, index, weight)
+    for alone, piece in problem.pieces():
+        seen, over, under = (piece.of_layers(each) for each in (layers, wanted, found))
+        for i, weight in enumerate(problem.weights):
+            pixels = projection.windows(seen, i)
+            others = link.derivative(pixels, index)
+            shown = link.compose(pixels).mean(dim=-4, keepdim=True)
+            target = alone.light(i).unsqueeze(-4)
+            projection.scatter_product_(over, others, target, i, index, weight)
+            projection.scatter_product_(under, others, shown, i, index, weight)
     return torch.where(found > 0, wanted / found.clamp(min=1e-12), 1)

@@ -96,15 +96,19 @@ def _normal_equations(
     empty = layers[..., 0, index, :, :, :]
     slope = [torch.zeros_like(empty) for _ in range(count)]
     curvature = [[torch.zeros_like(empty) for _ in range(s + 1)] for s in range(count)]
-    for i, weight in enumerate(problem.weights):
-        pixels = projection.windows(layers, i)
-        others = link.derivative(pixels, index).unbind(dim=-4)
-        residual = problem.light(i) - link.compose(pixels).mean(dim=-4)
-        for s in range(count):
-            projection.scatter_(slope[s], others[s] * residual, i, index, weight / count)
-            for t in range(s + 1):
-                product = others[s] * others[t]
-                if s == t and link.bend:
-                    product.add_(residual.abs(), alpha=link.bend * count)
-                projection.scatter_(curvature[s][t], product, i, index, weight / count**2)
+    for alone, piece in problem.pieces():
+        seen = piece.of_layers(layers)
+        for i, weight in enumerate(problem.weights):
+            pixels = projection.windows(seen, i)
+            others = link.derivative(pixels, index).unbind(dim=-4)
+            residual = alone.light(i) - link.compose(pixels).mean(dim=-4)
+            for s in range(count):
+                part, share = piece.of_layers(slope[s]), weight / count
+                projection.scatter_product_(part, others[s], residual, i, index, share)
+                for t in range(s + 1):
+                    part = piece.of_layers(curvature[s][t])
+                    projection.scatter_product_(part, others[s], others[t], i, index, share / count)
+                    if s == t and link.bend:
+                        damping = residual.abs()
+                        projection.scatter_(part, damping, i, index, share * link.bend)
     return slope, [[curvature[max(s, t)][min(s, t)] for t in range(count)] for s in range(count)]

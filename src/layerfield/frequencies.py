@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Complex, Float, Inexact
 from torch import Tensor
 
-_MOST_KEPT = 1 << 30  # bytes of the resolvents of a display
+_MOST_KEPT = 1 << 31  # bytes of the resolvents of a display: those of `fast` up to 8 megapixels
 _LARGE = 1 << 14  # frequencies of a plane from which on it is transformed by itself,
 _LARGEST = 1 << 21  # and as one of half as many complex pixels
 

@@ -110,7 +110,7 @@ def test_problems_of_one_display_and_size_share_what_depends_on_them():
     assert one.gram is not wider.gram
     assert one.gram is one.in_sum_domain().gram
     double = replace(one, views=one.views.then(torch.Tensor.double))
-    assert double.gram.symbol.dtype == torch.float64
+    assert double.gram.spectral.symbol.dtype == torch.float64
 
 
 @pytest.fixture(params=DTYPES, ids=["8 bit", "16 bit"])

@@ -76,9 +76,8 @@ class ViewsBand:
             strip = _cut(_cut(layers, rows, -2), columns, -1)
             part = torch.zeros_like(strip)
             self.projection.add_normal_(part, strip, weights)
-            across = part.new_zeros(*part.shape[:-1], self.torus[1])
-            _add_cut_(across, part, columns, -1)
-            _add_cut_(result, across, rows, -2)
+            for there, here in _wrapped(columns, self.torus[1]):
+                _add_cut_(result[..., there], part[..., here], rows, -2)
 
 
 @dataclass(frozen=True)
@@ -230,10 +229,16 @@ def _cut(values: Tensor, span: Span, dim: int) -> Tensor:
 
 def _add_cut_(result: Tensor, part: Tensor, span: Span, dim: int, factor: float = 1.0) -> None:
     """Add a multiple of what `_cut` took back to where it came from; its adjoint, in place."""
+    for there, here in _wrapped(span, result.shape[dim]):
+        target = result.narrow(dim, there.start, there.stop - there.start)
+        target.add_(part.narrow(dim, here.start, here.stop - here.start), alpha=factor)
+
+
+def _wrapped(span: Span, length: int) -> list[tuple[slice, slice]]:
+    """Return where the parts of a span lie on a torus, and in what was cut out."""
     start, stop = span
-    length = result.shape[dim]
     before = min(stop, length) - start
-    result.narrow(dim, start, before).add_(part.narrow(dim, 0, before), alpha=factor)
+    found = [(slice(start, start + before), slice(0, before))]
     if stop > length:
-        rest = part.narrow(dim, before, stop - length)
-        result.narrow(dim, 0, stop - length).add_(rest, alpha=factor)
+        found.append((slice(0, stop - length), slice(before, stop - start)))
+    return found

@@ -4,6 +4,7 @@ Views without borders make the Gram matrix of layers one such matrix, layer by l
 """
 
 from functools import cached_property
+from typing import Any
 
 import torch
 from jaxtyping import Complex, Float, Inexact
@@ -21,17 +22,38 @@ class Spectral:
     """The Gram matrix of every frequency of a torus, and its resolvents.
 
     Args:
-        symbol: G(f).
+        symbol: G(f). With a single row of frequencies, rows of pixels do not know of each other:
+            each is transformed by itself.
         torus: height and width.
         weight: of all views together.
+        pixels: of the picture that one of this torus stands for; see `coarser`.
     """
 
     def __init__(
-        self, symbol: Inexact[Tensor, "layer layer fy fx"], torus: tuple[int, int], weight: float
+        self,
+        symbol: Inexact[Tensor, "layer layer fy fx"],
+        torus: tuple[int, int],
+        weight: float,
+        pixels: int = 1,
     ) -> None:
-        self.symbol, self.torus, self.weight = symbol, torus, weight
+        self.symbol, self.torus, self.weight, self.pixels = symbol, torus, weight, pixels
+        self.by_row = symbol.shape[-2] == 1
         self._kept: dict[tuple[float, ...], Matrix] = {}
         self._coarser: dict[int, Spectral] = {}
+
+    def to_frequencies(
+        self, planes: Float[Tensor, "*batch c ty tx"]
+    ) -> Complex[Tensor, "*batch c fy fx"]:
+        """Return the spectrum of planes: of both directions, or of every row."""
+        return torch.fft.rfft(planes) if self.by_row else torch.fft.rfft2(planes)
+
+    def to_pixels(
+        self, spectrum: Complex[Tensor, "*batch c fy fx"]
+    ) -> Float[Tensor, "*batch c ty tx"]:
+        """Return the planes of a spectrum."""
+        if self.by_row:
+            return torch.fft.irfft(spectrum, n=self.torus[1])
+        return to_pixels(spectrum, self.torus)
 
     def resolvent(self, penalty: float, balance: float, gain: float = 1.0) -> Matrix:
         """Return g rho (G + rho I)^-1 for `multiply`, rho = penalty times the weight of all views.
@@ -40,7 +62,8 @@ class Spectral:
 
         Args:
             penalty: share of the weight.
-            balance: share of it, too: of b (I - 1/K), which is added to G at frequency zero.
+            balance: share of it, too: of b (I - 1/K), which is added to G at frequency zero; not
+                of rows by themselves, whose light is where their own bounds want it.
             gain: g.
         """
         key = (penalty, balance, gain)
@@ -52,10 +75,16 @@ class Spectral:
         return self._kept[key]
 
     def coarser(self, times: int) -> "Spectral":
-        """Return the same display seen with so-many times larger pixels: its low frequencies."""
+        """Return the same display seen with so-many times larger pixels: its low frequencies.
+
+        Rows that do not know of each other stay apart: their pixels grow wider alone.
+        """
         if times not in self._coarser:
-            torus = (self.torus[0] // times, self.torus[1] // times)
-            self._coarser[times] = Spectral(low(self.symbol, torus), torus, self.weight)
+            height, width = self.torus
+            torus = (height if self.by_row else height // times, width // times)
+            pixels = times if self.by_row else times**2
+            symbol = low(self.symbol, torus, self.by_row)
+            self._coarser[times] = Spectral(symbol, torus, self.weight, pixels)
         return self._coarser[times]
 
     @cached_property
@@ -66,8 +95,8 @@ class Spectral:
         at other frequencies, the more so the nearer to the highest, and otherwise where the picture
         lies otherwise. With this window layers move as the picture does.
         """
-        (height, width), like = self.torus, self.symbol.real
-        fy, fx = torch.fft.fftfreq(height), torch.fft.rfftfreq(width)
+        width, like = self.torus[1], self.symbol.real
+        fy, fx = torch.fft.fftfreq(like.shape[-2]), torch.fft.rfftfreq(width)
         along_y, along_x = (torch.cos(torch.pi * f).square().to(like) for f in (fy, fx))
         return along_y[:, None] * along_x
 
@@ -77,18 +106,25 @@ def resolvent(spectral: Spectral, penalty: float, balance: float, gain: float = 
     rho, matrix = penalty * spectral.weight, spectral.symbol.clone()
     identity = torch.eye(len(matrix), dtype=matrix.dtype, device=matrix.device)
     matrix += rho * identity[:, :, None, None]
-    matrix[:, :, 0, 0] += balance * spectral.weight * (identity - 1 / len(matrix))
+    if not spectral.by_row:
+        matrix[:, :, 0, 0] += balance * spectral.weight * (identity - 1 / len(matrix))
     return interleaved(gain * rho * inverse(matrix))
 
 
 def low(
-    spectrum: Inexact[Tensor, "*batch fy fx"], torus: tuple[int, int]
+    spectrum: Inexact[Tensor, "*batch fy fx"], torus: tuple[int, int], by_row: bool = False
 ) -> Inexact[Tensor, "*batch gy gx"]:
-    """Return the low frequencies of a spectrum, as those of a smaller torus; its highest are 0."""
-    (height, width), (up, down, across) = torus, _kept_frequencies(torus)
-    result = spectrum.new_zeros(*spectrum.shape[:-2], height, width // 2 + 1)
-    result[..., :up, :across] = spectrum[..., :up, :across]
-    result[..., height - down :, :across] = spectrum[..., spectrum.shape[-2] - down :, :across]
+    """Return the low frequencies of a spectrum, as those of a smaller torus; its highest are 0.
+
+    Args:
+        spectrum: as of `rfft2`, or of `rfft`.
+        torus: the smaller one.
+        by_row: whether there is a spectrum for every row.
+    """
+    rows, columns = spectrum.shape[-2] if by_row else torus[0], torus[1] // 2 + 1
+    result = spectrum.new_zeros(*spectrum.shape[:-2], rows, columns)
+    for here, there in _low_blocks(spectrum, torus, by_row):
+        result[there] = spectrum[here]
     return result
 
 
@@ -96,7 +132,7 @@ def low_part(
     spectrum: Complex[Tensor, "*batch fy fx"], coarser: Spectral
 ) -> Complex[Tensor, "*batch gy gx"]:
     """Return the share of a spectrum that is solved on larger pixels: the window of its lowest."""
-    return low(spectrum, coarser.torus) * coarser.window
+    return low(spectrum, coarser.torus, coarser.by_row) * coarser.window
 
 
 def replace_low_part_(
@@ -105,17 +141,28 @@ def replace_low_part_(
     coarser: Spectral,
 ) -> None:
     """Put another in the place of the `low_part` of a spectrum, in place."""
-    height, (up, down, across) = coarser.torus[0], _kept_frequencies(coarser.torus)
-    below, rest = spectrum.shape[-2] - down, 1 - coarser.window
-    for here, there in ((slice(up), slice(up)), (slice(below, None), slice(height - down, None))):
-        part = spectrum[..., here, :across]
-        part.mul_(rest[there, :across]).add_(other[..., there, :across])
+    rest = 1 - coarser.window
+    for here, there in _low_blocks(spectrum, coarser.torus, coarser.by_row):
+        spectrum[here].mul_(rest[there]).add_(other[there])
 
 
-def _kept_frequencies(torus: tuple[int, int]) -> tuple[int, int, int]:
-    """Rows from frequency zero up, rows below it, and columns; all below the highest of all."""
-    down = (torus[0] - 1) // 2
-    return down + 1, down, (torus[1] - 1) // 2 + 1
+def _low_blocks(
+    spectrum: Tensor, torus: tuple[int, int], by_row: bool
+) -> list[tuple[tuple[Any, ...], tuple[Any, ...]]]:
+    """Return where low frequencies are: in a spectrum, and in that of a smaller torus.
+
+    All are below the highest frequency of the smaller one: rows from frequency zero up, and rows
+    below it.
+    """
+    height, across = torus[0], slice((torus[1] - 1) // 2 + 1)
+    if by_row:
+        return [((..., across), (..., across))]
+    down = (height - 1) // 2
+    up, below = slice(down + 1), slice(spectrum.shape[-2] - down, None)
+    return [
+        ((..., up, across), (..., up, across)),
+        ((..., below, across), (..., slice(height - down, None), across)),
+    ]
 
 
 def to_pixels(

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import torch
-from jaxtyping import Float, Inexact
+from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.band import band_of
@@ -39,13 +39,14 @@ def _is_smooth(number: int) -> bool:
     return number == 1
 
 
-def symbol_of(
+def spectral_of(
     projection: Projection, weights: Sequence[float], torus: tuple[int, int], like: Tensor
-) -> Inexact[Tensor, "layer layer fy fx"]:
-    """Return G(f) of a torus, in the precision and on the device of `like`."""
-    symbol = projection.symbol(torus, weights)
+) -> Spectral:
+    """Return G(f) of a torus with its resolvents, in the precision and on the device of `like`."""
+    height, width = torus
+    symbol = projection.symbol((1 if projection.is_horizontal else height, width), weights)
     dtype = like.dtype.to_complex() if symbol.is_complex() else like.dtype
-    return symbol.to(like.device, dtype)
+    return Spectral(symbol.to(like.device, dtype), torus, sum(weights))
 
 
 class Gram:
@@ -72,19 +73,15 @@ class Gram:
         self.weights = weights
         (height, width), (my, mx) = view_size, projection.margin
         self.layer_size = (height + 2 * my, width + 2 * mx)
-        self.torus = (fast_length(self.layer_size[0]), fast_length(self.layer_size[1]))
+        rows, columns = self.layer_size
+        self.torus = (rows if projection.is_horizontal else fast_length(rows), fast_length(columns))
         self._like = like
         self._band = band_of(projection, weights, view_size, self.torus)
 
     @cached_property
-    def symbol(self) -> Inexact[Tensor, "layer layer fy fx"]:
-        """G(f), in the precision of the views."""
-        return symbol_of(self.projection, self.weights, self.torus, self._like)
-
-    @cached_property
     def spectral(self) -> Spectral:
-        """The same with its resolvents."""
-        return Spectral(self.symbol, self.torus, sum(self.weights))
+        """G(f) and its resolvents."""
+        return spectral_of(self.projection, self.weights, self.torus, self._like)
 
     def to_torus(self, layers: Float[Tensor, "*batch ly lx"]) -> Float[Tensor, "*batch ty tx"]:
         """Pad layers with zeros to the torus."""
@@ -111,5 +108,6 @@ class Gram:
         self, layers: Float[Tensor, "*batch layer c ty tx"]
     ) -> Float[Tensor, "*batch layer c ty tx"]:
         """Return A^T M W A layers."""
-        spectrum = multiply(interleaved(self.symbol), torch.fft.rfft2(layers))
-        return torch.fft.irfft2(spectrum, s=self.torus) - self.band(layers)
+        spectral = self.spectral
+        spectrum = multiply(interleaved(spectral.symbol), spectral.to_frequencies(layers))
+        return spectral.to_pixels(spectrum) - self.band(layers)

@@ -50,6 +50,11 @@ class Projection:
         return True
 
     @cached_property
+    def is_horizontal(self) -> bool:
+        """Whether parallax is horizontal only: every row of a view looks at that row of layers."""
+        return self.margin[0] == 0 and all(y == 0 for layers in self.shifts for _, y in layers)
+
+    @cached_property
     def taps(self) -> tuple[tuple[tuple[tuple[int, int, float], ...], ...], ...]:
         """`[view][layer]` -> (top row, left column, weight) of every window that is summed."""
         my, mx = self.margin

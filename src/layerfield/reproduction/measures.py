@@ -296,7 +296,7 @@ def solver_cost(name: str, problem: Problem) -> Cost:
 def _gram_cost(gram: Gram, layers: int, taps: int, view: int) -> float:
     torus = math.prod(gram.torus)
     transform = 1.25 * torus * math.log2(torus)
-    matrix = layers**2 * torus * (2 if gram.symbol.is_complex() else 1)
+    matrix = layers**2 * torus * (2 if gram.spectral.symbol.is_complex() else 1)
     return 2 * layers * transform + matrix + 2 * taps * (torus - view)
 
 

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.frequencies import Matrix, multiply, to_pixels
+from layerfield.frequencies import Matrix, multiply
 from layerfield.solve import Problem
 
 
@@ -82,8 +82,8 @@ class FourierAdmm:
         right = torch.sub(iterate, state.shadow, alpha=0.5)
         gram.from_torus(right).add_(problem.back_projected, alpha=share)
         gram.add_band_(right, iterate, share)
-        spectrum = multiply(state.resolvent, torch.fft.rfft2(right))
-        return to_pixels(spectrum, gram.torus)
+        spectral = gram.spectral
+        return spectral.to_pixels(multiply(state.resolvent, spectral.to_frequencies(right)))
 
     def layers(self, problem: Problem, state: AdmmState) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         return problem.gram.from_torus(state.shadow).clamp(*problem.bounds)

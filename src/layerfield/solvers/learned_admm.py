@@ -12,7 +12,6 @@ from layerfield.frequencies import (
     low_part,
     multiply,
     replace_low_part_,
-    to_pixels,
 )
 from layerfield.solve import Problem
 from layerfield.solvers.fourier_admm import AdmmState, FourierAdmm
@@ -115,7 +114,7 @@ class LearnedAdmm:
         a, rho = constants.relaxation, constants.penalty * spectral.weight
         data = torch.zeros_like(shadow)
         add_completed_(problem, data, shadow.clamp(*problem.bounds))
-        seen = torch.fft.rfft2(data)
+        seen = spectral.to_frequencies(data)
         # z + a (x - z) with z = share b, u = 0
         forward = spectral.resolvent(constants.penalty, BALANCE, gain=a * (1 / rho + share))
         spectrum = multiply(forward, seen).add_(seen, alpha=(1 - a) * share)
@@ -123,13 +122,13 @@ class LearnedAdmm:
         if coarser is not None and self.coarse:
             solved = self._solved_coarsely(coarser, low_part(seen, coarser), problem.bounds)
             replace_low_part_(spectrum, solved, coarser)
-        return to_pixels(spectrum, spectral.torus)
+        return spectral.to_pixels(spectrum)
 
     def _solved_coarsely(
         self, coarser: Spectral, seen: Tensor, bounds: tuple[float, float]
     ) -> Tensor:
         """Return the spectrum of s after all coarse steps."""
-        data = to_pixels(seen, coarser.torus).div_(COARSE**2)
+        data = coarser.to_pixels(seen).div_(coarser.pixels)
         shadow, before = data / (coarser.weight * len(coarser.symbol)), None
         for constants in self.coarse:
             iterate = shadow.clamp(*bounds)
@@ -137,7 +136,7 @@ class LearnedAdmm:
             right.add_(data, alpha=1 / (constants.penalty * coarser.weight))
             moved = _moved(coarser, right, iterate, shadow, before, constants)
             shadow, before = moved, shadow
-        return torch.fft.rfft2(shadow).mul_(COARSE**2)
+        return coarser.to_frequencies(shadow).mul_(coarser.pixels)
 
 
 def after_step(
@@ -167,7 +166,8 @@ def add_completed_(
 def coarse_grid(spectral: Spectral) -> Spectral | None:
     """Return the grid of the coarse steps, or None where the picture is too small for one."""
     coarser = spectral.coarser(COARSE)
-    return coarser if min(coarser.torus) >= _LEAST else None
+    height, width = coarser.torus
+    return coarser if min(width if coarser.by_row else height, width) >= _LEAST else None
 
 
 def _moved(
@@ -182,7 +182,7 @@ def _moved(
     a, kept = constants.relaxation, constants.kept
     momentum = 0.0 if before is None else constants.momentum
     resolvent = spectral.resolvent(constants.penalty, BALANCE, gain=a)
-    moved = to_pixels(multiply(resolvent, torch.fft.rfft2(right)), spectral.torus)
+    moved = spectral.to_pixels(multiply(resolvent, spectral.to_frequencies(right)))
     # a x + (1 - a) z + kept (s - z) + momentum (s - s of one step ago)
     moved.add_(iterate, alpha=1 - a - kept).add_(shadow, alpha=kept + momentum)
     return moved if before is None else moved.sub_(before, alpha=momentum)

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.frequencies import multiply, to_pixels
+from layerfield.frequencies import multiply
 from layerfield.solve import Problem
 from layerfield.solvers.fourier_admm import dual_at_bounds
 from layerfield.solvers.fourier_start import FourierStart
@@ -83,8 +83,8 @@ class NewtonAdmm:
         # (D^-1 g + rho trust D u) / rho, and rho (G + rho I)^-1 of it
         right = found.div_(scale).div_(rho).addcmul_(dual, scale, value=known.trust)
         resolvent = spectral.resolvent(known.penalty, BALANCE, gain=-known.relaxation)
-        spectrum = multiply(resolvent, torch.fft.rfft2(problem.gram.to_torus(right)))
-        moved = problem.gram.from_torus(to_pixels(spectrum, spectral.torus)) / scale
+        spectrum = multiply(resolvent, spectral.to_frequencies(problem.gram.to_torus(right)))
+        moved = problem.gram.from_torus(spectral.to_pixels(spectrum)) / scale
         moved.add_(iterate).add_(dual, alpha=known.kept)
         if state.before is not None:
             moved.add_(state.shadow - state.before, alpha=known.momentum)

@@ -7,8 +7,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.frequencies import Matrix, Spectral, multiply, to_pixels
-from layerfield.gram import fast_length, symbol_of
+from layerfield.frequencies import Matrix, Spectral, multiply
+from layerfield.gram import fast_length, spectral_of
 from layerfield.solve import Problem
 from layerfield.solvers.fourier_admm import AdmmState, FourierAdmm, dual_at_bounds
 
@@ -45,10 +45,12 @@ class TiledState(AdmmState):
     """Iterate and dual on the torus of the whole picture; the resolvent is that of a tile.
 
     Args:
+        tile: its frequencies.
         rows: of the tiles.
         columns: of the tiles.
     """
 
+    tile: Spectral
     rows: tuple[Span, ...]
     columns: tuple[Span, ...]
 
@@ -81,16 +83,16 @@ class TiledAdmm(FourierAdmm):
         penalty = self.penalty if start is None else self.warm_penalty
         gram, weights = problem.gram, problem.weights
         rho, whole = penalty * sum(weights), gram.torus
-        tile = (_tile_length(whole[0], self.size), _tile_length(whole[1], self.size))
-        symbol = symbol_of(gram.projection, weights, tile, problem.views.like)
-        resolvent = Spectral(symbol, tile, sum(weights)).resolvent(penalty, balance=0, gain=2)
+        size = (_tile_length(whole[0], self.size), _tile_length(whole[1], self.size))
+        tile = spectral_of(gram.projection, weights, size, problem.views.like)
+        resolvent = tile.resolvent(penalty, balance=0, gain=2)
         reach = [
-            0 if tile[axis] == whole[axis] else _reach(resolvent, tile, axis, self.rest)
+            0 if size[axis] == whole[axis] else _reach(tile, resolvent, axis, self.rest)
             for axis in range(2)
         ]
-        rows, columns = map(_spans, whole, tile, reach)
+        rows, columns = map(_spans, whole, size, reach)
         shadow = problem.even_start() if start is None else start + _dual(problem, start, rho)
-        return TiledState(gram.to_torus(shadow), resolvent, rho, rows, columns)
+        return TiledState(gram.to_torus(shadow), resolvent, rho, tile, rows, columns)
 
     def step(self, problem: Problem, state: AdmmState) -> AdmmState:
         assert isinstance(state, TiledState)
@@ -103,8 +105,8 @@ class TiledAdmm(FourierAdmm):
             strip = rows.read(right, -2)
             for columns in state.columns:
                 part = columns.read(strip, -1)
-                spectrum = multiply(state.resolvent, torch.fft.rfft2(part))
-                solved = to_pixels(spectrum, (rows.length, columns.length))
+                spectrum = multiply(state.resolvent, state.tile.to_frequencies(part))
+                solved = state.tile.to_pixels(spectrum)
                 moved = solved[..., rows.inner, columns.inner] + shift
                 iterate = result[..., rows.core, columns.core]
                 before = state.shadow[..., rows.core, columns.core]
@@ -117,9 +119,9 @@ class TiledAdmm(FourierAdmm):
     ) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         raise NotImplementedError("the certificate of an optimum comes from FourierAdmm")
 
-    def _balancing(self, problem: Problem, state: AdmmState, right: Tensor) -> Tensor:
+    def _balancing(self, problem: Problem, state: TiledState, right: Tensor) -> Tensor:
         """What the term for balance, at frequency zero of the whole torus, adds to a solution."""
-        pull = self.balance * sum(problem.weights)
+        pull = 0 if state.tile.by_row else self.balance * sum(problem.weights)
         mean = right.mean(dim=(-2, -1), keepdim=True)
         return (mean - mean.mean(dim=-4, keepdim=True)) * (-2 * pull / (state.rho + pull))
 
@@ -138,14 +140,14 @@ def _tile_length(length: int, size: int) -> int:
     return next(n for n in range(size - size % 2, 0, -2) if fast_length(n) == n)
 
 
-def _reach(resolvent: Matrix, torus: tuple[int, int], axis: int, rest: float) -> int:
+def _reach(tile: Spectral, resolvent: Matrix, axis: int, rest: float) -> int:
     """Return how far the kernel of a resolvent reaches along an axis, but for the rest of it."""
     like = resolvent[0][0]
     layers = torch.eye(len(resolvent), dtype=like.dtype.to_complex(), device=like.device)
     # one impulse a layer, their spectrum
-    impulses = layers[..., None, None, None].repeat(1, 1, 1, torus[0], torus[1] // 2 + 1)
+    impulses = layers[..., None, None, None].repeat(1, 1, 1, *tile.symbol.shape[-2:])
     answers = multiply(resolvent, impulses)[:, :, 0]
-    kernel = torch.fft.irfft2(answers, s=torus).abs().sum(dim=1).amax(dim=0)
+    kernel = tile.to_pixels(answers).abs().sum(dim=1).amax(dim=0)
     along = kernel.sum(dim=1 - axis).double().cpu()
     places = torch.arange(len(along))
     share = torch.zeros_like(along).index_add_(0, torch.minimum(places, len(along) - places), along)
@@ -159,7 +161,7 @@ def _spans(length: int, tile: int, reach: int) -> tuple[Span, ...]:
         ValueError: next to nothing would be left of a tile.
     """
     core = tile - 2 * reach
-    if core < _LEAST_CORE:
+    if core < min(_LEAST_CORE, length):
         raise ValueError(
             f"tiles of {tile} px are too small: on this display low frequencies reach {reach} px "
             f"to each side; take tiles of {2 * reach + 4 * _LEAST_CORE} px or more"

@@ -25,7 +25,7 @@ from layerfield.gram import Gram
 from layerfield.projection import sum_of
 from layerfield.solve import Problem
 from layerfield.solvers.fourier_admm import dual_at_bounds
-from layerfield.solvers.learned_admm import BALANCE, COARSE, Constants, coarse_grid
+from layerfield.solvers.learned_admm import BALANCE, Constants, coarse_grid
 from layerfield.solvers.newton_admm import renews_scale, scale_of, slope
 
 _FIRST = {"penalty": math.log(0.02), "relaxation": 1.6, "trust": 1.0, "kept": 0.6, "momentum": 0.0}
@@ -92,8 +92,8 @@ class LearnedSteps(nn.Module):
             dual = (shadow - iterate) * (known / scale).square()
             if before is None:
                 dual = dual_at_bounds(iterate, found, bounds, rho * scale.square())
-            right = torch.fft.rfft2(gram.to_torus(found / scale + rho * trust * scale * dual))
-            solved = torch.fft.irfft2(_solved(gram.spectral, right, penalty), s=gram.torus)
+            right = gram.to_torus(found / scale + rho * trust * scale * dual)
+            solved = _solution(gram.spectral, right, penalty)
             moved = iterate + kept * dual - relaxation * gram.from_torus(solved) / scale
             if before is not None:
                 moved = moved + momentum * (shadow - before)
@@ -146,21 +146,21 @@ def _first(
     bounds: tuple[float, float],
 ) -> Tensor:
     """Return s after the first step."""
-    share, pixels = 1 / (spectral.weight * len(spectral.symbol)), COARSE**2
+    share = 1 / (spectral.weight * len(spectral.symbol))
     penalty, a = row[0], row[1]
     rho = penalty * spectral.weight
-    seen = torch.fft.rfft2(data)
+    seen = spectral.to_frequencies(data)
     start = share * seen
     spectrum = start + a * (_solved(spectral, seen + rho * start, penalty) - start)
     coarser = coarse_grid(spectral)
     if coarser is not None and len(coarse):
-        back = torch.fft.irfft2(low_part(seen, coarser), s=coarser.torus) / pixels
+        back = coarser.to_pixels(low_part(seen, coarser)) / coarser.pixels
         shadow, before = share * back, None
         for each in coarse:
             moved = _moved(coarser, back, shadow, before, each, bounds)
             shadow, before = moved, shadow
-        replace_low_part_(spectrum, torch.fft.rfft2(shadow) * pixels, coarser)
-    return torch.fft.irfft2(spectrum, s=spectral.torus)
+        replace_low_part_(spectrum, coarser.to_frequencies(shadow) * coarser.pixels, coarser)
+    return spectral.to_pixels(spectrum)
 
 
 def _moved(
@@ -176,14 +176,17 @@ def _moved(
     iterate = shadow.clamp(*bounds)
     dual = shadow - iterate
     right = data + penalty * spectral.weight * (iterate - trust * dual)
-    solved = _solved(spectral, torch.fft.rfft2(right), penalty)
-    solution = torch.fft.irfft2(solved, s=spectral.torus)
-    moved = iterate + kept * dual + relaxation * (solution - iterate)
+    moved = iterate + kept * dual + relaxation * (_solution(spectral, right, penalty) - iterate)
     return moved if before is None else moved + momentum * (shadow - before)
 
 
+def _solution(spectral: Spectral, right: Tensor, penalty: Tensor) -> Tensor:
+    """Return (G + rho I)^-1 right."""
+    return spectral.to_pixels(_solved(spectral, spectral.to_frequencies(right), penalty))
+
+
 def _solved(spectral: Spectral, spectrum: Tensor, penalty: Tensor) -> Tensor:
-    """Return (G + rho I)^-1 spectrum."""
+    """Return the same of a spectrum."""
     rho = penalty * spectral.weight
     matrix = resolvent(spectral, penalty.item(), BALANCE)
     return _Solve.apply(spectrum, rho, matrix) / rho

@@ -1,0 +1,89 @@
+"""Displays with horizontal parallax only: rows of pixels do not know of each other."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from layerfield import Display, LightField, procedural_light_field, solve
+from layerfield.display_spec import parse_spec
+from layerfield.fast import shipped_steps, warm_steps
+from layerfield.gram import Gram
+from layerfield.projection import Projection
+from layerfield.solve import Problem
+from layerfield.solvers.fourier_admm import FourierAdmm
+from layerfield.solvers.tiled_admm import TiledAdmm
+
+GRID, SIZE = (1, 5), (25, 300)
+
+
+def display(
+    text: str = "views = [1, 5]\ndisparity = [1, 0, -1]", link: str = "additive"
+) -> Display:
+    return Display(parse_spec(f'name = "d"\nlink = "{link}"\n{text}', "a test"))
+
+
+@pytest.fixture(scope="module")
+def field() -> LightField:
+    return procedural_light_field(grid=GRID, size=SIZE, seed=2)
+
+
+def solvers(link: str):
+    fast = shipped_steps(link)
+    known = {"fast": fast.solver(4), "fast, one step": fast.solver(1)}
+    if link == "additive":
+        known |= {"direct": FourierAdmm(), "tiles": TiledAdmm(size=240), "warm": warm_steps(3)}
+    return known
+
+
+@pytest.mark.parametrize("link", ["additive", "multiplicative"])
+def test_every_row_is_solved_by_itself(field, link):
+    """Of layers of which every pixel is seen: others start from the mean of all."""
+    shown = display("views = [1, 5]\ndisparity = [1, -1]", link)
+    views = field.views.double()
+    whole, part = (Problem.of(shown, v) for v in (views, views[..., 11:20, :]))
+    for name, solver in solvers(link).items():
+        made, alone = (solve(p, solver, iterations=4).layers for p in (whole, part))
+        torch.testing.assert_close(made[..., 11:20, :], alone, atol=1e-12, rtol=0, msg=name)
+
+
+def test_no_rows_are_added_to_those_of_the_views(field):
+    gram = Problem.of(display(), field.views).gram
+    assert gram.torus == (SIZE[0], 320)
+    assert gram.spectral.by_row
+    assert gram.spectral.symbol.shape[-2:] == (1, 161)
+    coarser = gram.spectral.coarser(4)
+    assert (coarser.torus, coarser.pixels) == ((SIZE[0], 80), 4)
+
+
+@pytest.mark.parametrize(
+    "text", ["views = [3, 5]\ndisparity = [1, -1]", "views = [5, 1]\ndisparity = [1, -1]"]
+)
+def test_vertical_parallax_joins_rows(text):
+    views = torch.rand(display(text).view_count, 3, 20, 24)
+    gram = Problem.of(display(text), views).gram
+    assert not gram.spectral.by_row
+    assert gram.spectral.coarser(4).pixels == 16
+
+
+def test_the_optimum_is_that_of_both_directions(field, monkeypatch):
+    """Given time enough, transforms along rows and along both directions lead to the same views."""
+    solver = FourierAdmm(balance=0)
+    problem = Problem.of(display(), field.views)
+    by_row = problem.mean_square_error(solve(problem, solver, iterations=300).layers)
+    monkeypatch.setattr(Projection, "is_horizontal", False)
+    apart = replace(problem)
+    gram = Gram(problem.projection, problem.weights, SIZE, field.views)
+    apart.__dict__["gram"] = gram
+    assert not gram.spectral.by_row
+    both = apart.mean_square_error(solve(apart, solver, iterations=300).layers)
+    assert by_row == pytest.approx(both, rel=1e-3)
+
+
+def test_tiles_of_rows_make_the_layers_of_the_whole(field):
+    problem = Problem.of(display(), field.views.double())
+    whole, tiled = (
+        solve(problem, solver, iterations=6).layers
+        for solver in (FourierAdmm(), TiledAdmm(size=240))
+    )
+    assert (tiled - whole).abs().max() < 1e-3

@@ -20,8 +20,8 @@ from five_fields import five_fields
 from layerfield import Display, LightField, evaluate
 from layerfield.evaluate import Row
 from layerfield.metrics import excess
+from layerfield.shipped import shipped_networks
 from layerfield.training.sources import scenes
-from layerfield.weights import shipped_networks
 
 PRESETS = ("additive-3", "multiplicative-3", "perspective-3", "tabletop-additive")
 RIVALS = {"additive": [("nmf", 50), ("nmf", 10)], "multiplicative": [("sweeps", 5)]}

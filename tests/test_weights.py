@@ -27,7 +27,6 @@ from layerfield import (
     psnr,
     solve,
     synthesize,
-    weights,
 )
 from layerfield.display_spec import format_spec
 from layerfield.evaluate import parse_methods, tables
@@ -36,17 +35,16 @@ from layerfield.networks import NETWORKS, Network
 from layerfield.networks.frame import pixels
 from layerfield.networks.network import initialise, level
 from layerfield.result import make_result
-from layerfield.solvers.fourier_admm import FourierAdmm
-from layerfield.synthesizer import find_method, pose
-from layerfield.weights import (
-    WeightsCard,
+from layerfield.shipped import (
+    TRAINED,
     find_shipped,
     load_shipped,
-    read_weights,
     shipped,
     shipped_networks,
-    write_weights,
 )
+from layerfield.solvers.fourier_admm import FourierAdmm
+from layerfield.synthesizer import find_method, pose
+from layerfield.weights import WeightsCard, read_weights, same_light_paths, write_weights
 
 OPTIONS: dict[str, dict[str, int | bool]] = {
     "unet": {"width": 4, "depth": 2, "skips": True},
@@ -97,7 +95,7 @@ def entry(path: Path, name: str, display: Display = ADDITIVE, /, **changes: Any)
 def folder(tmp_path, monkeypatch) -> Path:
     """An empty registry in place of the package's own."""
     (tmp_path / "trained").mkdir()
-    monkeypatch.setattr(weights, "TRAINED", tmp_path / "trained")
+    monkeypatch.setattr("layerfield.shipped.TRAINED", tmp_path / "trained")
     register(tmp_path / "trained")
     return tmp_path / "trained"
 
@@ -299,9 +297,9 @@ def test_the_registry_of_the_package_is_in_order():
         trained = load_shipped(found)
         assert trained.card.network == found.network
         assert trained.card.recipe == found.recipe
-        assert weights.same_light_paths(trained.display, found.trained_for)
+        assert same_light_paths(trained.display, found.trained_for)
         assert found.megabytes == pytest.approx(
-            (weights.TRAINED / found.file).stat().st_size / 1e6, rel=0.05
+            (TRAINED / found.file).stat().st_size / 1e6, rel=0.05
         )
         assert found.megabytes <= 20
         assert trained.name == found.name

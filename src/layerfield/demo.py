@@ -14,9 +14,9 @@ from layerfield.reference import cached_reference
 from layerfield.report.comparison import ERROR_GAIN, Strip, Tile, comparison_picture, error_map
 from layerfield.result import Result, make_result, write_result, write_views
 from layerfield.scenes import procedural_light_field
+from layerfield.shipped import shipped_networks
 from layerfield.solvers.rounding import panel_codes
 from layerfield.synthesizer import pose, synthesize
-from layerfield.weights import shipped_networks
 
 _SOLVERS = {
     "additive-3": [("fourier-admm", 10), ("nmf", 10), ("nmf", 100), ("sart", 10)],

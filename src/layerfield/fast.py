@@ -23,12 +23,13 @@ from layerfield.display import Display
 from layerfield.io.safe_output import whole_file
 from layerfield.links import LINKS, Link, Multiplicative
 from layerfield.methods import RunOptions, SolverMethod
+from layerfield.shipped import TRAINED
 from layerfield.solve import Problem, Solution, Solver
 from layerfield.solvers.fourier_start import FourierStart
 from layerfield.solvers.learned_admm import Constants, LearnedAdmm
 from layerfield.solvers.newton_admm import FourierNewton, NewtonAdmm
 from layerfield.solvers.warm_admm import WarmAdmm
-from layerfield.weights import TRAINED, WEIGHT_SUFFIX
+from layerfield.weights import WEIGHT_SUFFIX
 
 _KEY = "layerfield"  # of the metadata
 _STEPS = 4  # unless told otherwise

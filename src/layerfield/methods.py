@@ -16,16 +16,11 @@ from layerfield.display import Display
 from layerfield.links import LINKS, Link
 from layerfield.networks import Network
 from layerfield.networks.frame import tiled_pixels
+from layerfield.shipped import Entry, find_shipped, load_shipped
 from layerfield.solve import Clock, Problem, Solution, Solver, State, solve
 from layerfield.solvers.sweeps import Sweeps
 from layerfield.tone import on_values
-from layerfield.weights import (
-    Entry,
-    TrainedNetwork,
-    find_shipped,
-    kept_weights,
-    load_shipped,
-)
+from layerfield.weights import TrainedNetwork, kept_weights
 
 CHAIN_ITERATIONS = 3  # of a solver behind a network
 _BEFORE_TONE = 10  # of the solver in light

@@ -28,6 +28,7 @@ from layerfield.methods import (
     ToneMethod,
 )
 from layerfield.nearest import did_you_mean
+from layerfield.shipped import shipped
 from layerfield.solve import Problem, Solution, Solver, State
 from layerfield.solvers.fourier_admm import FourierAdmm
 from layerfield.solvers.fourier_start import FourierStart
@@ -38,7 +39,7 @@ from layerfield.solvers.ntf import Ntf
 from layerfield.solvers.sart import Sart
 from layerfield.solvers.sweeps import Sweeps
 from layerfield.solvers.tiled_admm import TiledAdmm
-from layerfield.weights import PICKLE_SUFFIXES, WEIGHT_SUFFIX, shipped
+from layerfield.weights import PICKLE_SUFFIXES, WEIGHT_SUFFIX
 
 
 @runtime_checkable

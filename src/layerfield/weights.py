@@ -1,8 +1,7 @@
-"""Trained networks in files that describe themselves, and those that come with the package.
+"""Trained networks in files that describe themselves.
 
 A weight file is safetensors: tensors, and in its metadata, under the key `layerfield`, the
-`WeightsCard` as JSON. The folder `trained` of the package holds such files and `registry.json`, a
-list of `Entry`. Pickles are never loaded, nothing is downloaded.
+`WeightsCard` as JSON. Pickles are never loaded.
 """
 
 import copy
@@ -22,22 +21,21 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
-from layerfield.display import Display, preset_names
+from layerfield.display import Display
 from layerfield.display_spec import parse_spec
 from layerfield.io.safe_output import whole_file
 from layerfield.nearest import did_you_mean
 from layerfield.networks import NETWORKS, Network
 from layerfield.transfer import NONE, named
 
-TRAINED = Path(__file__).parent / "trained"  # weights that come with the package
 WEIGHT_SUFFIX = ".safetensors"
+REMEDY = "train with `layerfield train RECIPE.toml` and give --method FILE.safetensors"
 PICKLE_SUFFIXES = (".pt", ".pth", ".ckpt", ".pkl", ".pickle", ".bin")
 
 _KEY = "layerfield"  # of the metadata
 _PICKLE_STARTS = (b"PK", b"\x80")  # a zip of PyTorch, or a bare pickle
 _LARGEST_OPTION = 1024  # a larger one comes from a damaged card, and would take all memory
 _SAME_SHIFT = 1e-6  # pixels
-_REMEDY = "train with `layerfield train RECIPE.toml` and give --method FILE.safetensors"
 
 Checked = TypeVar("Checked")
 
@@ -88,8 +86,8 @@ class TrainedNetwork:
         if not same_light_paths(self.display, display):
             raise ValueError(
                 f"weights '{self.name}' were trained for '{self.display.name}' "
-                f"({_described(self.display)}), found display '{display.name}' "
-                f"({_described(display)}); take that display, or {_REMEDY}"
+                f"({described(self.display)}), found display '{display.name}' "
+                f"({described(display)}); take that display, or {REMEDY}"
             )
 
     def on(self, device: torch.device, dtype: torch.dtype) -> Network:
@@ -109,7 +107,8 @@ def same_light_paths(one: Display, other: Display) -> bool:
     return all(math.isclose(a, b, abs_tol=_SAME_SHIFT) for a, b in zip(*pair, strict=True))
 
 
-def _described(display: Display) -> str:
+def described(display: Display) -> str:
+    """Return what networks depend on, in a line."""
     grid = display.geometry.grid
     views = f"{grid[0]}x{grid[1]} views" if grid else f"{display.view_count} listed views"
     reach = max(abs(c) for view in display.geometry.shifts for shift in view for c in shift)
@@ -224,11 +223,15 @@ def _card(data: bytes, path: Path) -> WeightsCard:
             f"{path} does not say what network and display it is for: its metadata lacks "
             f"'{_KEY}'; give a file that `layerfield train` wrote"
         )
-    return _checked(TypeAdapter(WeightsCard).validate_python, text, f"the metadata of {path}")
+    return from_json(TypeAdapter(WeightsCard).validate_python, text, f"the metadata of {path}")
 
 
-def _checked(validate: Callable[[Any], Checked], text: str, source: str) -> Checked:
-    """Return what JSON describes."""
+def from_json(validate: Callable[[Any], Checked], text: str, source: str) -> Checked:
+    """Return what JSON describes.
+
+    Raises:
+        ValueError: it is no JSON, or says something else; `source` is named.
+    """
     try:
         return validate(json.loads(text))
     except ValidationError as error:
@@ -295,107 +298,3 @@ def _refuse_infinite(tensors: dict[str, Tensor], what: str) -> None:
                 f"{what}: '{name}' holds values that are not finite, the training has diverged; "
                 "train with a lower rate"
             )
-
-
-# --------------------------------------------------------------------------------- shipped weights
-
-
-@dataclass(frozen=True)
-class Entry:
-    """One line of the registry of shipped weights.
-
-    Args:
-        name: in tables and results.
-        file: in the folder `trained`.
-        sha256: of the file; verified when it is loaded.
-        network: key of `NETWORKS`.
-        display: what it was trained for: TOML as in the file's card, or the name of a preset.
-        recipe: name of the recipe.
-        command: that trained it.
-        megabytes: size of the file.
-        storage: `float16` or `float32`.
-        default: the one to take where several serve a display.
-        metrics: what it reaches, by name; lists show numbers named `mean...` if there are any.
-        trained_on: processor, seconds, steps.
-        notes: anything else worth saying.
-    """
-
-    name: str
-    file: str
-    sha256: str
-    network: str
-    display: str
-    recipe: str
-    command: str
-    megabytes: float
-    storage: str
-    default: bool
-    metrics: dict[str, Any]
-    trained_on: dict[str, Any]
-    notes: str = ""
-
-    @property
-    def trained_for(self) -> Display:
-        """The display, made from its description."""
-        if self.display in preset_names():
-            return Display.load(self.display)
-        return Display(parse_spec(self.display, f"the display of the shipped '{self.name}'"))
-
-    @property
-    def scores(self) -> str:
-        """The metrics in a line: the means, or all where none is called one."""
-        numbers = {k: v for k, v in self.metrics.items() if isinstance(v, int | float)}
-        means = {k: v for k, v in numbers.items() if k.startswith("mean")} or numbers
-        return ", ".join(f"{name.replace('_', ' ')} {value:.2f}" for name, value in means.items())
-
-
-def shipped() -> list[Entry]:
-    """Return the registry of weights that come with the package.
-
-    Raises:
-        ValueError: the registry is missing or damaged.
-    """
-    path = TRAINED / "registry.json"
-    try:
-        text = path.read_text("utf-8")
-    except OSError as error:
-        raise ValueError(f"cannot read {path}: {error.strerror}; install layerfield anew") from None
-    return _checked(TypeAdapter(list[Entry]).validate_python, text, str(path))
-
-
-def find_shipped(network: str, display: Display) -> Entry:
-    """Return the shipped weights of a network for a display; the default if there are several.
-
-    Raises:
-        ValueError: there are none; says what is shipped for which display and view grid.
-    """
-    entries = [entry for entry in shipped() if entry.network == network]
-    fitting = [e for e in entries if same_light_paths(e.trained_for, display)]
-    if fitting:
-        return max(fitting, key=lambda entry: entry.default)
-    others = {f"'{e.trained_for.name}' ({_described(e.trained_for)})": None for e in entries}
-    raise ValueError(
-        f"no weights of '{network}' are shipped for display '{display.name}' "
-        f"({_described(display)}), only for {' and '.join(others) or 'none'}; {_REMEDY}"
-    )
-
-
-def shipped_networks(display: Display) -> list[str]:
-    """Return the networks that have shipped weights for a display, sorted."""
-    return sorted({e.network for e in shipped() if same_light_paths(e.trained_for, display)})
-
-
-def load_shipped(entry: Entry) -> TrainedNetwork:
-    """Return the shipped network of an entry, once; not to be changed.
-
-    Raises:
-        ValueError: as `read_weights`, or the file is not the one that was registered.
-    """
-    path = TRAINED / entry.file
-    trained = kept_weights(path)
-    if trained.sha256 != entry.sha256:
-        raise ValueError(
-            f"{path} has the sha256 {trained.sha256[:12]}..., the registry expects "
-            f"{entry.sha256[:12]}...: it is damaged or was replaced; install layerfield anew"
-        )
-    return trained

@@ -3,8 +3,8 @@
 from layerfield.cli.terminal import print_lines, say
 from layerfield.display import Display, preset_names
 from layerfield.methods import CHAIN_ITERATIONS
+from layerfield.shipped import shipped
 from layerfield.synthesizer import METHODS
-from layerfield.weights import shipped
 
 
 def displays() -> None:

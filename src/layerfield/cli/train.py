@@ -13,6 +13,7 @@ from layerfield.cli.refusals import refuse_device
 from layerfield.cli.terminal import say, status
 from layerfield.io import FieldOptions, load_light_field
 from layerfield.networks import Network
+from layerfield.shipped import find_shipped, load_shipped
 from layerfield.training.adapt import adaptation
 from layerfield.training.loop import Run, train
 from layerfield.training.recipe import read_recipe
@@ -20,7 +21,7 @@ from layerfield.training.records import WEIGHTS, refuse_run
 from layerfield.training.start import network_for, refuse_other_network
 from layerfield.training.steps import StepsRun, train_steps
 from layerfield.training.steps_recipe import StepsRecipe, is_of_steps, read_steps_recipe
-from layerfield.weights import find_shipped, load_shipped, read_weights
+from layerfield.weights import read_weights
 
 
 @with_field_options

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from layerfield.display import Display
-from layerfield.weights import TRAINED, find_shipped, shipped_networks
+from layerfield.shipped import TRAINED, find_shipped, shipped_networks
 
 CNN, UNET = "stacked-cnn", "unet"
 RECIPES = {CNN: "gao2024-stacked-cnn", UNET: "gao2024-unet"}

@@ -13,6 +13,7 @@ from typing import Any
 
 from layerfield.display import Display
 from layerfield.reproduction.contenders import RECIPES
+from layerfield.shipped import TRAINED, shipped
 from layerfield.training.loop import Run, train
 from layerfield.training.recipe import read_recipe
 from layerfield.training.records import (
@@ -24,7 +25,7 @@ from layerfield.training.records import (
     read_history,
     read_result,
 )
-from layerfield.weights import TRAINED, same_light_paths, shipped
+from layerfield.weights import same_light_paths
 
 SHIPPED_RUNS = TRAINED / "runs"
 

@@ -9,17 +9,10 @@ from layerfield.display import Display
 from layerfield.nearest import did_you_mean
 from layerfield.networks import NETWORKS, Network, deepen, modules
 from layerfield.networks.network import dead_layers, hand_on, initialise, level, reseed
+from layerfield.shipped import load_shipped, shipped
 from layerfield.training.recipe import Recipe
 from layerfield.training.sources import Source
-from layerfield.weights import (
-    WEIGHT_SUFFIX,
-    TrainedNetwork,
-    listed,
-    load_shipped,
-    read_weights,
-    same_light_paths,
-    shipped,
-)
+from layerfield.weights import WEIGHT_SUFFIX, TrainedNetwork, listed, read_weights, same_light_paths
 
 _MOST_SEEDS = 100  # of a dead layer
 _STARTS = ("drawn", "even", "identity")

@@ -87,3 +87,14 @@ def test_tiles_of_rows_make_the_layers_of_the_whole(field):
         for solver in (FourierAdmm(), TiledAdmm(size=240))
     )
     assert (tiled - whole).abs().max() < 1e-3
+
+
+def test_thin_pictures_have_rows_that_know_of_each_other():
+    """Their coarse grid has a single row of frequencies, and is none of rows by themselves."""
+    views = torch.rand(9, 3, 4, 96)
+    problem = Problem.of(display("views = [3, 3]\ndisparity = [1, -1]"), views)
+    assert problem.gram.torus[0] // 4 == 1
+    assert not problem.gram.spectral.coarser(4).by_row
+    fast = solve(problem, shipped_steps("additive").solver(4), iterations=4)
+    direct = solve(problem, FourierAdmm(), iterations=4)
+    assert problem.mean_square_error(fast.layers) < problem.mean_square_error(direct.layers)

@@ -13,6 +13,7 @@ import torch
 from test_cli import contents, desk, fails, original, read, run, succeed
 
 from layerfield import Display, procedural_light_field, psnr, synthesize
+from layerfield.between import interpolated_between
 from layerfield.display_spec import PhysicalSpec, format_spec, parse_spec
 from layerfield.metrics import decibels
 from layerfield.panel_images import corrected, fitted, panel_images, panel_projection
@@ -63,6 +64,34 @@ def bench(**changes) -> Display:
 @pytest.fixture(scope="module")
 def scene():
     return procedural_light_field(size=(48, 60), disparity_range=(-1.5, 1.5), seed=8)
+
+
+def test_eyes_at_different_distances_see_panels_as_they_see_layers():
+    """Panels on the very pixels of the layers: both maps are the same where all light is inside."""
+    display = Display(
+        parse_spec(
+            """
+            name = "apart"
+            link = "additive"
+            depth_mm = [6, 0, -6]
+            pitch_um = 250
+            viewpoints_mm = [[-20, 0, 400], [20, 0, 1200], [0, 15, 700]]
+            """,
+            "apart",
+        )
+    )
+    view_size = (20, 26)
+    size = display.projection.layer_size(torch.empty(view_size))
+    layers = torch.rand(3, 1, *size, dtype=torch.float64)
+    straight = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    shifts, margin = display.geometry.shifts, display.geometry.margin
+    panels = PanelProjection(
+        shifts, margin, (straight,) * 3, (size,) * 3, view_size, display.geometry.magnifications
+    )
+    torch.testing.assert_close(
+        panels.forward(layers), display.projection.forward(layers), atol=1e-6, rtol=0
+    )
+    assert display.geometry.magnifications[1] != (1.0, 1.0, 1.0)
 
 
 @pytest.mark.parametrize("warped", [False, True])
@@ -281,3 +310,14 @@ def test_damaged_results_are_one_line(made):
 def test_spec_is_physical():
     assert isinstance(bench().spec, PhysicalSpec)
     assert Display.load("additive-3").panels == ()
+
+
+def test_panels_show_targets_between_the_views(scene):
+    display = bench()
+    asked = replace(scene, between=interpolated_between(scene))
+    solution = synthesize(asked, display, iterations=2)
+    assert solution.problem is not None
+    pictures = panel_images(solution.problem, solution.layers, display)
+    assert [tuple(codes.shape[-2:]) for codes in pictures.codes] == [
+        panel.size for panel in display.panels
+    ]

@@ -373,3 +373,28 @@ def test_solutions_say_what_made_them(scene):
     assert solution.iterations == 2
     assert solution.layers.shape == (1, 3, 3, 76, 92)
     assert solution.seconds > 0
+
+
+@pytest.mark.parametrize("method", ["fourier-admm", "fast", "fourier-tiles"])
+def test_a_state_is_not_taken_to_another_problem(method):
+    """The state of even weights knows their Gram matrix; other weights go on from the layers."""
+    field, display = procedural_light_field(size=(40, 48), seed=4), Display.load("additive-3")
+    even = synthesize(field, display, method=method, iterations=10)
+    weights = [3.0 if i == 12 else 0.2 for i in range(25)]
+    onward, again = (
+        synthesize(field, display, method=method, iterations=10, weights=weights, init=init)
+        for init in (even, even.layers)
+    )
+    assert torch.equal(onward.layers, again.layers)
+
+
+def test_half_precision_views_are_taken_as_floats():
+    views = torch.rand(25, 3, 20, 24).half()
+    problem = Problem.of(Display.load("additive-3"), views)
+    assert solve(problem, FourierAdmm(), iterations=2).layers.dtype == torch.float32
+
+
+def test_the_balanced_start_does_not_depend_on_the_scale_of_weights():
+    views, display = torch.rand(25, 3, 20, 24), Display.load("additive-3")
+    one, tiny = (Problem.of(display, views, [w] * 25).even_start() for w in (1.0, 1e-8))
+    torch.testing.assert_close(one, tiny)

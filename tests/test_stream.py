@@ -24,7 +24,7 @@ from layerfield.fast import read_learned
 from layerfield.motion import block_motion, moved
 from layerfield.scenes import animated, panned, travelled
 from layerfield.solvers.learned_admm import LearnedState
-from layerfield.solvers.warm_admm import WarmAdmm
+from layerfield.solvers.warm_admm import WarmAdmm, moved_start
 from layerfield.synthesizer import pose
 from layerfield.training.learned_steps import LearnedSteps
 from layerfield.training.steps_recipe import read_steps_recipe
@@ -247,3 +247,15 @@ def test_what_the_page_shows_runs():
     exec(compile(code, "video.md", "exec"), {})
     (recipe,) = re.findall(r"layerfield train (\S+)", page)
     assert read_steps_recipe(recipe).frames > 1
+
+
+def test_motion_that_is_found_wrongly_does_not_add_up_in_the_dual():
+    """Again and again a dark pixel takes its state from where it was bright."""
+    even = torch.full((1, 1, 1, 4, 6), 0.1)
+    bright, state, still = torch.full_like(even, 0.4), even.clone(), torch.zeros(2, 4, 6)
+    held = even * 0 - 0.2  # a layer that its bound keeps dark
+    for _ in range(20):
+        state = moved_start(even, state, bright, still)
+        held = moved_start(even, held, even, still)
+    assert (state - state.clamp(0, 1)).abs().max() == 0
+    torch.testing.assert_close(held, torch.full_like(held, -0.2))

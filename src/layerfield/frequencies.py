@@ -22,10 +22,11 @@ class Spectral:
     """The Gram matrix of every frequency of a torus, and its resolvents.
 
     Args:
-        symbol: G(f). With a single row of frequencies, rows of pixels do not know of each other:
-            each is transformed by itself.
+        symbol: G(f).
         torus: height and width.
         weight: of all views together.
+        by_row: rows of pixels do not know of each other. Each is transformed by itself, and a
+            single row of frequencies says all.
         pixels: of the picture that one of this torus stands for; see `coarser`.
     """
 
@@ -34,10 +35,11 @@ class Spectral:
         symbol: Inexact[Tensor, "layer layer fy fx"],
         torus: tuple[int, int],
         weight: float,
+        by_row: bool,
         pixels: int = 1,
     ) -> None:
-        self.symbol, self.torus, self.weight, self.pixels = symbol, torus, weight, pixels
-        self.by_row = symbol.shape[-2] == 1
+        self.symbol, self.torus, self.weight = symbol, torus, weight
+        self.by_row, self.pixels = by_row, pixels
         self._kept: dict[tuple[float, ...], Matrix] = {}
         self._coarser: dict[int, Spectral] = {}
 
@@ -84,7 +86,7 @@ class Spectral:
             torus = (height if self.by_row else height // times, width // times)
             pixels = times if self.by_row else times**2
             symbol = low(self.symbol, torus, self.by_row)
-            self._coarser[times] = Spectral(symbol, torus, self.weight, pixels)
+            self._coarser[times] = Spectral(symbol, torus, self.weight, self.by_row, pixels)
         return self._coarser[times]
 
     @cached_property

@@ -43,10 +43,10 @@ def spectral_of(
     projection: Projection, weights: Sequence[float], torus: tuple[int, int], like: Tensor
 ) -> Spectral:
     """Return G(f) of a torus with its resolvents, in the precision and on the device of `like`."""
-    height, width = torus
-    symbol = projection.symbol((1 if projection.is_horizontal else height, width), weights)
+    by_row = projection.is_horizontal
+    symbol = projection.symbol((1, torus[1]) if by_row else torus, weights)
     dtype = like.dtype.to_complex() if symbol.is_complex() else like.dtype
-    return Spectral(symbol.to(like.device, dtype), torus, sum(weights))
+    return Spectral(symbol.to(like.device, dtype), torus, sum(weights), by_row)
 
 
 class Gram:

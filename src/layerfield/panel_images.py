@@ -33,10 +33,11 @@ from layerfield.panel_projection import (
     sampled,
 )
 from layerfield.panels import Response
-from layerfield.projection import sum_of
+from layerfield.projection import Projection, sum_of
 from layerfield.solve import Problem, solve
 from layerfield.solvers.rounding import ROUNDING_SWEEPS, JointRounding
 from layerfield.solvers.sweeps import Sweeps
+from layerfield.warped_projection import WarpedProjection
 
 _FITTING_SWEEPS = 10
 _CORRECTING_SWEEPS = 4
@@ -64,7 +65,13 @@ def panel_projection(display: Display, view_size: tuple[int, int]) -> PanelProje
     )
     for k in range(len(display.panels)):
         _refuse_small(projection, k)
-    return projection
+    return _seen_along(display.projection, projection)
+
+
+def _seen_along(paths: Projection, panels: PanelProjection) -> PanelProjection:
+    """Return the map from panels to the views of a projection from their layers."""
+    magnifications = paths.magnifications if isinstance(paths, WarpedProjection) else ()
+    return replace(panels, shifts=paths.shifts, magnifications=magnifications)
 
 
 def _refuse_small(projection: PanelProjection, index: int) -> None:
@@ -124,7 +131,8 @@ def panel_images(
     """
     whole = panel_projection(display, problem.view_size)
     regions = [_reached(whole, k) for k in range(len(whole.sizes))]
-    projection = _cut(whole, regions)
+    # the problem may have more eyes than the display has views
+    projection = _seen_along(problem.projection, _cut(whole, regions))
     through = replace(problem, projection=projection)
     responses = panel_responses(display)
     start = corrected(through, fitted(layers, projection))

@@ -1,6 +1,6 @@
 """The linear map A from panels to views: where the light paths of a view meet each panel.
 
-    (A Q)_i(x) = sum_k Q_k(M_k(x + d_ik))       linear interpolation between panel pixels
+    (A Q)_i(x) = sum_k Q_k(M_k(m_ik x + d_ik))  linear interpolation between panel pixels
 
 M_k is the homography from the pixels of layer k on its scaled grid to those of its panel. Outside a
 panel there is no light; between its outermost pixels and that, values fade over one pixel.
@@ -32,11 +32,13 @@ class PanelProjection(Projection):
         mappings: M, one a layer: (x, y, 1) of a layer pixel, margin included, to a panel pixel.
         sizes: height and width of every panel.
         views: height and width of the views.
+        magnifications: `[view][layer]`, about the centre of the view; none: all are 1.
     """
 
     mappings: tuple[Matrix, ...]
     sizes: tuple[tuple[int, int], ...]
     views: tuple[int, int]
+    magnifications: tuple[tuple[float, ...], ...] = ()
 
     @property
     def is_local(self) -> bool:
@@ -71,8 +73,11 @@ class PanelProjection(Projection):
 
     def _path(self, view: int, index: int) -> Tensor:
         """The homography from the pixels of a view to those of a panel."""
-        x, y = self.shifts[view][index]
-        return as_matrix(self.mappings[index]) @ moved(x + self.margin[1], y + self.margin[0])
+        (x, y), (my, mx), (height, width) = self.shifts[view][index], self.margin, self.views
+        m = self.magnifications[view][index] if self.magnifications else 1.0
+        across, down = (width - 1) / 2, (height - 1) / 2
+        on_layer = ((m, 0, (1 - m) * across + x + mx), (0, m, (1 - m) * down + y + my), (0, 0, 1))
+        return as_matrix(self.mappings[index]) @ as_matrix(on_layer)
 
 
 def sampled(

@@ -61,6 +61,8 @@ class Problem:
         """
         count = display.view_count
         views = target if isinstance(target, KeptViews) else KeptViews(target)
+        if views.stored.dtype in (torch.float16, torch.bfloat16):
+            views = KeptViews(views.stored.float())  # there are no transforms of half precision
         if len(views) != count:
             raise ValueError(f"found {len(views)} views, display '{display.name}' expects {count}")
         chosen = tuple(float(w) for w in weights) if weights is not None else (1.0,) * count
@@ -80,6 +82,15 @@ class Problem:
         """Return the problem piece by piece, for what adds up view by view; see `Piece`."""
         for piece in pieces(self.projection, self.views, self.subframes):
             yield replace(self, views=piece.of_views(self.views)), piece
+
+    def is_posed_as(self, other: "Problem") -> bool:
+        """Whether but for what the views show, and how many there are at once, both are one."""
+
+        def posed(problem: Problem) -> tuple:
+            known = (problem.projection, problem.link, problem.weights, problem.bounds)
+            return *known, problem.subframes, problem.layer_shape[-5:], problem.views.like.dtype
+
+        return posed(self) == posed(other)
 
     def light(self, index: int) -> Float[Tensor, "*batch c y x"]:
         """Return what one view is to show."""
@@ -149,7 +160,7 @@ class Problem:
         """
         seen = self.coverage[0].sum(dim=(-2, -1), keepdim=True)
         mean = self.back_projected[..., :1, :, :, :].sum(dim=(-2, -1), keepdim=True) / seen
-        average = self.back_projected / self.coverage.clamp(min=1e-6)
+        average = self.back_projected / self.coverage.clamp(min=1e-6 * sum(self.weights))
         return torch.where(self.coverage > 0, average, mean) / self.layer_count
 
     def flat_start(self, apart: float = APART) -> Float[Tensor, "*batch subframe layer c ly lx"]:
@@ -252,7 +263,8 @@ def solve(
         problem: what to solve.
         solver: how.
         iterations: the most steps to take; 0 returns the start.
-        init: layers, or a solution whose state is taken up if this solver made it.
+        init: layers, or a solution whose state is taken up if this solver made it for a problem
+            posed alike; otherwise its layers are.
         tolerance: stop when no layer pixel changes by more than this in a step; 0: never.
         time_limit: start no step after this many seconds.
         callback: called with the iteration and the state after every step.
@@ -289,12 +301,17 @@ def solve(
             break
     with clock:
         layers = solver.layers(problem, state)
-    return Solution(layers, done, clock.seconds, status, tuple(records), solver, state)
+    return Solution(
+        layers, done, clock.seconds, status, tuple(records), solver, state, problem=problem
+    )
 
 
 def _start(problem: Problem, solver: Solver, init: Solution | Tensor | None) -> State | Tensor:
     if isinstance(init, Solution) and type(init.solver) is type(solver):
-        return init.state
+        # A state holds what depends on the display: it goes on with other views, and nothing else.
+        known = init.problem
+        if known is None or known.is_posed_as(problem):
+            return init.state
     layers = init.layers if isinstance(init, Solution) else init
     expected = problem.layer_shape
     if layers is not None and layers.shape[-5:] != expected[-5:]:

@@ -13,6 +13,7 @@ Where the direct solver makes the start of every run and sweeps or Newton steps 
 are no sum), that start is better than moved layers: each frame has its own, and fewer of those.
 """
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -188,8 +189,13 @@ def seen_from_the_middle(problem: Problem) -> Float[Tensor, "*batch ly lx"]:
 
 
 def _unexplained(new: Tensor, old: Tensor, motion: Tensor) -> float:
-    """Return the variance of what motion leaves over the variance of the picture."""
+    """Return the variance of what motion leaves over the variance of the picture.
+
+    Infinite where all comes from outside, as may be in pictures of a few pixels.
+    """
     left, seen = new - moved(old, motion), moved(torch.ones_like(old), motion) > 0
+    if not seen.any():
+        return math.inf
     return (left[seen].square().mean() / new.var().clamp(min=1e-8)).item()
 
 
@@ -204,7 +210,8 @@ def _started(
         warm = isinstance(solver, WarmAdmm)
         known = LearnedState(padded) if warm else replace(state, shadow=padded)
         return replace(solution, solver=solver, state=known)
-    start = moved_start(even, _to_sum(solution.layers, problem), before.even, motion)
+    layers, bounds = _to_sum(solution.layers, problem), problem.link.sum_bounds
+    start = moved_start(even, layers, before.even, motion, bounds)
     return problem.link.from_sum(start).clamp(*problem.bounds)
 
 

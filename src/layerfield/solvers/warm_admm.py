@@ -18,7 +18,7 @@ class WarmAdmm:
     The first state is that of the frame before, s = z + u, moved as the picture moved; what follows
     from the views at once, the balanced start e, is that of the new views:
 
-        s_new(p) = e_new(p) + (s - e)(p + m)
+        s_new(p) = clamp(e_new(p) + (z - e)(p + m)) + u(p + m)
 
     The steps are those of `LearnedAdmm`, all on full size, with constants learned for frames in the
     middle of videos: for the least error of this frame and of the next.
@@ -50,13 +50,20 @@ def moved_start(
     state: Float[Tensor, "*batch 1 layer c ly lx"],
     even_before: Float[Tensor, "*batch 1 layer c ly lx"],
     motion: Float[Tensor, "2 ly lx"],
+    bounds: tuple[float, float] = (0.0, 1.0),
 ) -> Float[Tensor, "*batch 1 layer c ly lx"]:
     """Return where a frame starts from.
 
+    What e asks for beyond the bounds is not the force of a bound: where motion is found wrongly
+    from frame to frame, it would add up in the dual until layers stay dark.
+
     Args:
-        even: its balanced start.
+        even: e, its balanced start.
         state: s, or the layers, of the frame before.
-        even_before: the balanced start of that.
+        even_before: e of that.
         motion: m, from the new frame to the one before.
+        bounds: of layer pixels.
     """
-    return even + moved(state - even_before, motion)
+    iterate = state.clamp(*bounds)
+    dual = moved(state - iterate, motion)
+    return dual.add_((even + moved(iterate - even_before, motion)).clamp_(*bounds))

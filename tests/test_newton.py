@@ -15,6 +15,7 @@ SHOWN = {
     "three layers": "views = [3, 3]\ndisparity = [1, 0, -1]",
     "two layers, fractions": "views = [1, 4]\ndisparity = [0.7, -0.4]",
     "one layer": "views = [2, 2]\ndisparity = [0.0]",
+    "six layers": "views = [2, 3]\ndisparity = [2, 1, 0.5, 0, -1, -2]",
 }
 
 
@@ -133,6 +134,18 @@ def test_more_newton_steps_are_better_and_more_than_learned_go_on():
     }
     assert list(errors.values()) == sorted(errors.values(), reverse=True)
     assert max(shipped_steps("multiplicative").steps) < 20
+
+
+def test_steps_of_many_layers_do_not_go_astray():
+    """Each goes as if the others stayed; with whole steps thirty were no better than none."""
+    shown = display("views = [3, 3]\ndisparity = [3, 2.5, 2, 1, 0, -1, -2, -3]")
+    field = procedural_light_field(grid=(3, 3), size=(48, 60), seed=2)
+    problem = Problem.of(shown, field.views**4)
+    errors = []
+    for n in (0, 3, 10, 30):
+        solver = shipped_steps("multiplicative").solver(n)
+        errors.append(problem.mean_square_error(solve(problem, solver, iterations=n).layers))
+    assert errors == sorted(errors, reverse=True)
 
 
 def test_behind_the_learned_steps_a_solution_goes_on_as_if_never_stopped():

@@ -1,7 +1,7 @@
 """Steps for links that are no sum: their slope exactly, their curvature as if they were one."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -18,6 +18,7 @@ _LEAST = 0.01  # curvature, as a share of the weight of all views: no pixel is m
 _PLAIN = Constants(penalty=0.5, relaxation=1.2, trust=1.0, kept=1.0, momentum=0.0)
 _LATER = Constants(penalty=0.5, relaxation=1.2, trust=1.0, kept=1.0, momentum=0.5)
 _STRIDES = 4
+_LAYERS = 4  # that may go as far as they want
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +52,7 @@ class NewtonAdmm:
                + momentum (s - s of one step ago)
 
     A step reads every view once, where a sweep does for every layer; and it moves light of low
-    frequency as far as it has to go.
+    frequency as far as it has to go. Of more than four layers it is shorter, see `stride`.
 
     Args:
         full: constants of every step; behind them come plain ones.
@@ -65,7 +66,7 @@ class NewtonAdmm:
         return NewtonState(problem.flat_start() if start is None else start)
 
     def step(self, problem: Problem, state: NewtonState) -> NewtonState:
-        known = self._constants(state.count)
+        known = self._constants(state.count, problem.layer_count)
         spectral, rho = problem.gram.spectral, known.penalty * problem.gram.spectral.weight
         iterate = state.shadow.clamp(*problem.bounds)
         if renews_scale(state.count):
@@ -93,10 +94,13 @@ class NewtonAdmm:
         before = None if made == len(self.full) else state.shadow
         return NewtonState(moved, before, scale, made)
 
-    def _constants(self, count: int) -> Constants:
+    def _constants(self, count: int, layers: int) -> Constants:
         if count < len(self.full):
-            return self.full[count]
-        return _PLAIN if count < _STRIDES else _LATER
+            found = self.full[count]
+        else:
+            found = _PLAIN if count < _STRIDES else _LATER
+        share = stride(layers)
+        return replace(found, relaxation=share * found.relaxation, momentum=share * found.momentum)
 
     def layers(
         self, problem: Problem, state: NewtonState
@@ -159,6 +163,15 @@ def slope(
                     layer = bent[..., k, :, :, :]
                     projection.scatter_product_(layer, others, others, i, k, weight)
     return result
+
+
+def stride(layers: int) -> float:
+    """Return the share of relaxation and momentum that steps of so many layers take.
+
+    Each layer goes as if the others stayed where they are. Where many go at once, their product
+    goes too far: from five layers on, whole steps made scenes worse than they began.
+    """
+    return min(1.0, _LAYERS / layers)
 
 
 def renews_scale(count: int) -> bool:

@@ -26,7 +26,7 @@ from layerfield.projection import sum_of
 from layerfield.solve import Problem
 from layerfield.solvers.fourier_admm import dual_at_bounds
 from layerfield.solvers.learned_admm import BALANCE, Constants, coarse_grid
-from layerfield.solvers.newton_admm import renews_scale, scale_of, slope
+from layerfield.solvers.newton_admm import renews_scale, scale_of, slope, stride
 
 _FIRST = {"penalty": math.log(0.02), "relaxation": 1.6, "trust": 1.0, "kept": 0.6, "momentum": 0.0}
 _LAST_PENALTY = math.log(0.1)
@@ -83,6 +83,7 @@ class LearnedSteps(nn.Module):
         """Return layers after all Newton steps from some; see `NewtonAdmm`."""
         bounds, gram, weight = problem.bounds, problem.gram, problem.gram.spectral.weight
         shadow, before, scale = layers, None, torch.ones_like(layers)
+        share = stride(problem.layer_count)
         for count, (penalty, relaxation, trust, kept, momentum) in enumerate(_real(self.newton)):
             iterate, known = shadow.clamp(*bounds), scale
             found, curvature = _Slope.apply(iterate, problem)
@@ -94,9 +95,9 @@ class LearnedSteps(nn.Module):
                 dual = dual_at_bounds(iterate, found, bounds, rho * scale.square())
             right = gram.to_torus(found / scale + rho * trust * scale * dual)
             solved = _solution(gram.spectral, right, penalty)
-            moved = iterate + kept * dual - relaxation * gram.from_torus(solved) / scale
+            moved = iterate + kept * dual - share * relaxation * gram.from_torus(solved) / scale
             if before is not None:
-                moved = moved + momentum * (shadow - before)
+                moved = moved + share * momentum * (shadow - before)
             shadow, before = moved, shadow
         return shadow.clamp(*bounds)
 

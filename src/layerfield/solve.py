@@ -7,6 +7,7 @@ passed along. An unrolled network calls `step` itself.
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -277,30 +278,33 @@ def solve(
         raise ValueError(f"found {iterations} iterations, expected 0 or more")
     keep_large_blocks()
     clock = Clock(problem.device)
+    watched = history or callback is not None or tolerance > 0 or time_limit < math.inf
     records: list[Progress] = []
-    with torch.no_grad(), clock:
-        state = solver.init(problem, _start(problem, solver, init))
     status = f"stopped after the {iterations} iterations asked for"
     done = 0
-    for _ in range(iterations):
-        if clock.seconds > time_limit:
-            status = f"stopped at the time limit of {time_limit:g} s"
-            break
+    # Where nobody looks at what is between, an accelerator is waited for once, not at every step.
+    with nullcontext() if watched else clock:
         with torch.no_grad(), clock:
-            before = solver.layers(problem, state).clone() if tolerance > 0 else None
-            state = solver.step(problem, state)
-            done += 1
-            change = _change(before, solver.layers(problem, state)) if tolerance > 0 else math.inf
-        if history:
-            error = problem.mean_square_error(solver.layers(problem, state))
-            records.append(Progress(done, clock.seconds, error))
-        if callback is not None:
-            callback(done, state)
-        if change <= tolerance:
-            status = f"converged: no pixel changed by more than {tolerance:g} in iteration {done}"
-            break
-    with clock:
-        layers = solver.layers(problem, state)
+            state = solver.init(problem, _start(problem, solver, init))
+        for _ in range(iterations):
+            if clock.seconds > time_limit:
+                status = f"stopped at the time limit of {time_limit:g} s"
+                break
+            with torch.no_grad(), clock:
+                before = solver.layers(problem, state).clone() if tolerance > 0 else None
+                state = solver.step(problem, state)
+                done += 1
+                change = _change(before, problem, solver, state)
+            if history:
+                error = problem.mean_square_error(solver.layers(problem, state))
+                records.append(Progress(done, clock.seconds, error))
+            if callback is not None:
+                callback(done, state)
+            if change <= tolerance:
+                status = f"converged: no pixel changed by more than {tolerance:g}, iteration {done}"
+                break
+        with clock:
+            layers = solver.layers(problem, state)
     return Solution(
         layers, done, clock.seconds, status, tuple(records), solver, state, problem=problem
     )
@@ -322,23 +326,34 @@ def _start(problem: Problem, solver: Solver, init: Solution | Tensor | None) -> 
     return layers
 
 
-def _change(before: Tensor | None, after: Tensor) -> float:
-    return math.inf if before is None else (after - before).abs().max().item()
+def _change(before: Tensor | None, problem: Problem, solver: Solver, state: State) -> float:
+    """Return by how much layers changed at the most; infinity if that is not asked for."""
+    if before is None:
+        return math.inf
+    return (solver.layers(problem, state) - before).abs().max().item()
 
 
 class Clock:
-    """Adds up the time spent inside it; waits for the accelerator where there is one."""
+    """Adds up the time spent inside it; waits for the accelerator where there is one.
+
+    Inside itself it neither waits nor counts.
+    """
 
     def __init__(self, device: torch.device) -> None:
         self.seconds = 0.0
         self._device = device
         self._entered = 0.0
+        self._depth = 0
 
     def __enter__(self) -> None:
-        self._entered = self._now()
+        if self._depth == 0:
+            self._entered = self._now()
+        self._depth += 1
 
     def __exit__(self, *exception: object) -> None:
-        self.seconds += self._now() - self._entered
+        self._depth -= 1
+        if self._depth == 0:
+            self.seconds += self._now() - self._entered
 
     def _now(self) -> float:
         if self._device.type == "cuda":

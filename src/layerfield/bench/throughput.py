@@ -128,8 +128,13 @@ def copy_bandwidth(device: torch.device, size: int = _COPY_BYTES) -> float:
     """Return the bytes a second that a copy within the device's memory reads and writes."""
     source = torch.ones(size, dtype=torch.uint8, device=device)
     target = torch.empty_like(source)
-    times = [once(lambda: target.copy_(source), device)[0] for _ in range(_COPIES + 1)]
-    return 2 * size / min(times[1:])
+
+    def copies() -> None:  # in one go: to wait for each would take as long as a copy
+        for _ in range(_COPIES):
+            target.copy_(source)
+
+    copies()
+    return 2 * size * _COPIES / once(copies, device)[0]
 
 
 def references(views: Sequence[EightBitViews], display: Display) -> list[Reference]:

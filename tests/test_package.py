@@ -71,8 +71,8 @@ def test_lower_rooms_do_not_import_higher_ones():
         "composition", "transfer", "panel_spec", "display_spec", "display", "panels", "motion",
         "solve", "between", "tone",
         "solvers", "panel_images", "networks", "metrics", "provenance", "scenes", "io", "frames",
-        "rendering", "rgbd", "eyes", "animation", "plane_sweep", "disparity", "weights", "methods",
-        "fast", "synthesizer", "stream", "reference", "evaluate", "remarks", "observers",
+        "rendering", "rgbd", "eyes", "animation", "plane_sweep", "disparity", "weights", "shipped",
+        "methods", "fast", "synthesizer", "stream", "reference", "evaluate", "remarks", "observers",
         "stored_result", "result", "simulation", "video", "spectrum", "design", "training",
         "report", "bench", "viewer", "demo", "reproduction", "cli", "__main__",
     ]  # fmt: skip

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy
 import pytest
 import torch
 from torchmetrics.functional.image import structural_similarity_index_measure
@@ -169,6 +170,19 @@ def test_ssim_is_the_published_one(size):
     expected = structural_similarity_index_measure(views.clamp(0, 1), wanted, data_range=1.0)
     assert ssim(views, wanted) == pytest.approx(float(expected), abs=1e-5)  # pyright: ignore[reportArgumentType]
     assert ssim(wanted, wanted) == 1
+
+
+def test_ssim_of_views_smaller_than_its_window_mirrors_them_again():
+    generator = torch.Generator().manual_seed(3)
+    for size in (1, 1), (2, 5), (4, 3):
+        wanted, views = torch.rand(2, 1, 3, *size, generator=generator)
+        around = [(0, 0), (0, 0), (25, 25), (25, 25)]
+        wide = [numpy.pad(each, around, mode="reflect") for each in (views, wanted)]
+        _, everywhere = structural_similarity_index_measure(
+            *map(torch.from_numpy, wide), data_range=1.0, return_full_image=True
+        )
+        expected = everywhere[..., 25 : 25 + size[0], 25 : 25 + size[1]].mean()
+        assert ssim(views, wanted) == pytest.approx(float(expected), abs=1e-5)
 
 
 def _road(link):

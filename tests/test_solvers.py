@@ -244,8 +244,19 @@ def test_same_input_same_output_and_batches_equal_singles(scene, method, link):
     for b in range(2):
         single = [solve(Problem.of(display, both[b]), solver, iterations=3) for _ in range(2)]
         assert torch.equal(single[0].layers, single[1].layers)
-        if method not in ("gradient", "sweeps"):  # these decide on momentum for the whole batch
+        torch.testing.assert_close(display(batch[b]), display(single[0].layers), atol=1e-5, rtol=0)
+        if method != "sweeps":  # it divides by what comes through other layers, however little
             torch.testing.assert_close(batch[b], single[0].layers, atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize(("method", "link"), PAIRS)
+def test_solvers_run_in_inference_mode(scene, method, link):
+    display, solver = Display.load(PRESETS[link]), SOLVERS[method].make(LINKS[link])
+    layers = solve(Problem.of(display, scene.views), solver, iterations=2).layers
+    with torch.inference_mode():
+        views = scene.views * 1.0
+        again = solve(Problem.of(display, views), solver, iterations=2).layers
+    torch.testing.assert_close(again, layers, atol=1e-6, rtol=0)
 
 
 def test_history_callback_and_stopping(scene):

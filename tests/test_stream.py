@@ -1,5 +1,6 @@
 """Video: a frame that starts from the one before is better than one that starts anew."""
 
+import math
 import re
 from collections.abc import Iterator
 from dataclasses import replace
@@ -158,6 +159,15 @@ def test_a_cut_is_found_and_starts_anew():
     assert [share > 0.3 for share in shares] == [False, False, True, False]
     cold = synthesize(fields[3], display, method="fast", iterations=20).layers
     torch.testing.assert_close(made[3].layers, cold)
+
+
+def test_a_motion_from_outside_explains_nothing(monkeypatch):
+    def far(new: torch.Tensor, old: torch.Tensor) -> torch.Tensor:
+        return torch.full((2, *new.shape[-2:]), 1000.0)
+
+    monkeypatch.setattr("layerfield.stream.block_motion", far)
+    made = list(synthesize_frames(pan((1, 0), 2), row_of_five("additive")))
+    assert (made[1].details["start"], made[1].details["unexplained"]) == ("cut", math.inf)
 
 
 def test_frames_are_taken_and_let_go_one_by_one():

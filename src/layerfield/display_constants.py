@@ -26,6 +26,12 @@ def coverage_of(
     return _coverage(projection, weights, view_size, like.dtype, like.device)
 
 
+def forget_constants() -> None:
+    """Keep nothing any more, so that the memory of what follows is its own."""
+    _gram.cache_clear()
+    _coverage.cache_clear()
+
+
 @lru_cache(maxsize=_KEPT)
 def _gram(
     projection: Projection,

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.nn.functional import pad
 
 EXACT = 1e-10  # a mean square error below this is rounding
 
@@ -92,9 +91,7 @@ def ssim(views: Views, target: Views) -> float:
 
 def _similarity(view: Float[Tensor, "c y x"], wanted: Float[Tensor, "c y x"]) -> float:
     """Go strip by strip: a large picture would take a hundred times its memory."""
-    total, around = 0.0, [len(_WINDOW) // 2] * 4
-    both_views = (view.clamp(0, 1)[None], wanted[None])
-    wide = [pad(each, around, mode="reflect")[0] for each in both_views]
+    total, wide = 0.0, [_mirrored(each) for each in (view.clamp(0, 1), wanted)]
     for channel, wanted_channel in zip(*wide, strict=True):
         for top in range(0, view.shape[-2], _STRIP):
             rows = slice(top, top + _STRIP + len(_WINDOW) - 1)
@@ -107,6 +104,16 @@ def _similarity(view: Float[Tensor, "c y x"], wanted: Float[Tensor, "c y x"]) ->
             index /= (squares + 0.01**2) * (variances + 0.03**2)
             total += index.sum(dtype=torch.float64).item()
     return total / view.numel()
+
+
+def _mirrored(view: Float[Tensor, "c y x"]) -> Float[Tensor, "c y2 x2"]:
+    """Continue a view by half a window on each side, as often as need be if it is smaller."""
+    for dim in (-2, -1):
+        size, around = view.shape[dim], len(_WINDOW) // 2
+        period = max(2 * (size - 1), 1)
+        place = torch.arange(-around, size + around, device=view.device).remainder(period)
+        view = view.index_select(dim, torch.minimum(place, period - place))
+    return view
 
 
 def _blurred(values: Float[Tensor, "y x"]) -> Float[Tensor, "y2 x2"]:

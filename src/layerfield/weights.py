@@ -10,7 +10,7 @@ import inspect
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -69,6 +69,7 @@ class TrainedNetwork:
         display: what it was trained for.
         sha256: of the file.
         name: of the file, without suffix.
+        placed: see `on`.
     """
 
     network: Network
@@ -76,6 +77,9 @@ class TrainedNetwork:
     display: Display
     sha256: str
     name: str
+    placed: dict[tuple[torch.device, torch.dtype], Network] = field(
+        default_factory=dict, init=False, repr=False
+    )
 
     def refuse_other(self, display: Display) -> None:
         """Refuse a display that the network was not trained for.
@@ -92,10 +96,12 @@ class TrainedNetwork:
 
     def on(self, device: torch.device, dtype: torch.dtype) -> Network:
         """Return the network on a device and in a precision; itself if it is there already."""
-        here = self.network.last.weight
-        if (here.device, here.dtype) == (device, dtype):
-            return self.network
-        return copy.deepcopy(self.network).to(device, dtype)
+        there = device, dtype
+        if there not in self.placed:
+            here = self.network.last.weight
+            known = (here.device, here.dtype) == there
+            self.placed[there] = self.network if known else copy.deepcopy(self.network).to(*there)
+        return self.placed[there]
 
 
 def same_light_paths(one: Display, other: Display) -> bool:

@@ -10,13 +10,16 @@ from layerfield.composition import compose_views
 from layerfield.solve import Problem
 
 
+_ALL = (-5, -4, -3, -2, -1)  # directions of the layers of a light field
+
+
 @dataclass(frozen=True, eq=False)
 class GradientState:
-    """Layers, the extrapolated point, and the momentum counter t."""
+    """Layers, the extrapolated point, and the momentum counter t of every light field."""
 
     layers: Float[Tensor, "*batch subframe layer c ly lx"]
     ahead: Float[Tensor, "*batch subframe layer c ly lx"]
-    momentum: float = 1.0
+    momentum: Float[Tensor, "*batch 1 1 1 1 1"]
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,7 @@ class Gradient:
         if isinstance(start, GradientState):
             return start
         layers = problem.flat_start() if start is None else start.clone()
-        return GradientState(layers, layers)
+        return GradientState(layers, layers, layers.new_ones(*layers.shape[:-5], 1, 1, 1, 1, 1))
 
     def step(self, problem: Problem, state: GradientState) -> GradientState:
         gradient = _gradient(problem, state.ahead)
@@ -44,11 +47,10 @@ class Gradient:
         curvature /= problem.subframes
         layers = (state.ahead - gradient / curvature).clamp(*problem.bounds)
         moved = layers - state.layers
-        if ((state.ahead - layers) * moved).sum() > 0:  # the momentum points uphill
-            return GradientState(layers, layers)
-        following = (1 + (1 + 4 * state.momentum**2) ** 0.5) / 2
-        ahead = layers + moved * ((state.momentum - 1) / following)
-        return GradientState(layers, ahead, following)
+        uphill = ((state.ahead - layers) * moved).sum(dim=_ALL, keepdim=True) > 0  # begin anew
+        following = (1 + (1 + 4 * state.momentum**2).sqrt()) / 2
+        push = torch.where(uphill, 0, (state.momentum - 1) / following)
+        return GradientState(layers, layers + moved * push, torch.where(uphill, 1, following))
 
     def layers(
         self, problem: Problem, state: GradientState
@@ -58,8 +60,8 @@ class Gradient:
 
 def _gradient(problem: Problem, layers: Tensor) -> Tensor:
     """The gradient of 1/2 sum_i w_i ||L_i - target_i||^2 by automatic differentiation."""
-    with torch.enable_grad():
-        variable = layers.detach().requires_grad_()
+    with torch.inference_mode(False), torch.enable_grad():
+        variable = layers.detach().clone().requires_grad_()  # a copy has no inference mode
         views = compose_views(variable, problem.projection, problem.link)
         residual = views - problem.target
         weights = residual.new_tensor(problem.weights)[:, None, None, None]

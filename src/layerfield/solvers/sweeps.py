@@ -8,16 +8,21 @@ from torch import Tensor
 
 from layerfield.solve import Problem
 
+_ALL = (-5, -4, -3, -2, -1)  # directions of the layers of a light field
 _PASSES = 3  # through several subframes of a layer in a step; they cost nothing per view
 
 
 @dataclass(frozen=True, eq=False)
 class SweepsState:
-    """Layers after the last sweep, the extrapolated point, and the sweeps since a restart."""
+    """Layers after the last sweep, the extrapolated point, and the sweeps since a restart.
+
+    There is a count for every light field of a batch, where the layers are: to look at them would
+    be to wait for a GPU.
+    """
 
     layers: Float[Tensor, "*batch subframe layer c ly lx"]
     ahead: Float[Tensor, "*batch subframe layer c ly lx"]
-    count: int = 0
+    count: Float[Tensor, "*batch 1 1 1 1 1"]
 
 
 @dataclass(frozen=True)
@@ -44,17 +49,17 @@ class Sweeps:
         if isinstance(start, SweepsState):
             return start
         layers = problem.flat_start() if start is None else start.clone()
-        return SweepsState(layers, layers)
+        return SweepsState(layers, layers, layers.new_zeros(*layers.shape[:-5], 1, 1, 1, 1, 1))
 
     def step(self, problem: Problem, state: SweepsState) -> SweepsState:
         layers = state.ahead.clone()
         for k in range(problem.layer_count):
             layers[..., k, :, :, :] = best_layer(problem, layers, k)
         moved = layers - state.layers
-        uphill = bool(((state.ahead - layers) * moved).sum() > 0)
-        count = 1 if uphill else state.count + 1
-        push = min(self.momentum, 2 * (count - 1) / (count + 2))
-        ahead = layers if push == 0 else moved.mul_(push).add_(layers).clamp_(*problem.bounds)
+        uphill = ((state.ahead - layers) * moved).sum(dim=_ALL, keepdim=True) > 0
+        count = torch.where(uphill, 1, state.count + 1)
+        push = (2 * (count - 1) / (count + 2)).clamp(max=self.momentum)
+        ahead = moved.mul_(push).add_(layers).clamp_(*problem.bounds)
         return SweepsState(layers, ahead, count)
 
     def layers(

@@ -9,7 +9,6 @@ from torch import Tensor
 from layerfield.composition import compose_views
 from layerfield.solve import Problem
 
-
 _ALL = (-5, -4, -3, -2, -1)  # directions of the layers of a light field
 
 

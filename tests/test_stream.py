@@ -22,7 +22,7 @@ from layerfield import (
     synthesize_frames,
 )
 from layerfield.fast import read_learned
-from layerfield.motion import block_motion, moved
+from layerfield.motion import block_motion, comes_from_inside, framed, moved
 from layerfield.scenes import animated, panned, travelled
 from layerfield.solvers.learned_admm import LearnedState
 from layerfield.solvers.warm_admm import WarmAdmm, moved_start
@@ -90,12 +90,25 @@ def test_where_all_is_even_motion_is_that_of_the_rest():
     torch.testing.assert_close(motion[0, :, 8:150], torch.full((68, 142), 3.0), atol=0.15, rtol=0)
 
 
-def test_moved_pictures_are_interpolated_and_end_at_the_edge():
+def test_moved_pictures_are_interpolated_and_go_on_at_their_edges():
     picture = torch.arange(12.0).reshape(3, 4)
     motion = torch.stack([torch.full((3, 4), 0.5), torch.ones(3, 4)])
-    # the last column of the second row is half a pixel past the edge, which still counts
-    expected = torch.tensor([[4.5, 5.5, 6.5, 7.0], [8.5, 9.5, 10.5, 11.0], [0.0, 0.0, 0.0, 0.0]])
+    expected = torch.tensor([[4.5, 5.5, 6.5, 7.0], [8.5, 9.5, 10.5, 11.0], [8.5, 9.5, 10.5, 11.0]])
     torch.testing.assert_close(moved(picture, motion), expected)
+    # the last column is half a pixel past the edge, which still counts
+    inside = torch.tensor([True, True, False])[:, None].expand(3, 4)
+    assert torch.equal(comes_from_inside(motion), inside)
+
+
+def test_a_frame_has_the_means_of_what_is_near_its_edge():
+    picture = torch.rand(2, 30, 40, generator=torch.Generator().manual_seed(1))
+    picture[:, :, :5] += 7.0
+    around = framed(picture)
+    assert torch.equal(around[:, 1:-1, 1:-1], picture)
+    torch.testing.assert_close(around[0, 11, 0], picture[0, 6:15, :5].mean())
+    torch.testing.assert_close(around[1, -1, 21], picture[1, -5:, 16:25].mean())
+    beyond = moved(around, torch.stack([torch.full((30, 40), -50.0), torch.zeros(30, 40)]))
+    torch.testing.assert_close(beyond, around[:, 1:-1, :1].expand(2, 30, 40))
 
 
 @pytest.mark.parametrize(("method", "gain"), [("fast", 0.99), ("fourier-admm", 0.94)])

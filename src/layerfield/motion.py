@@ -1,12 +1,13 @@
 """Where things went from one picture to the next: block matching, coarse to fine."""
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
-from torch.nn.functional import avg_pool2d, grid_sample, interpolate, pad
+from torch.nn.functional import avg_pool1d, avg_pool2d, grid_sample, interpolate, pad
 
 BLOCK = 8  # pixels that move alike
 _ROUGH_BLOCK, _ROUGH_REACH = 4, 4  # pixels of a quarter of the size, so that 19 px are found
+_NEAR = 5  # pixels from an edge, and along it
 _STRAY = 1e-3  # what a pixel of motion unlike that of most must bring; where all is even, none does
 
 
@@ -33,17 +34,52 @@ def block_motion(new: Float[Tensor, "y x"], old: Float[Tensor, "y x"]) -> Float[
 
 
 def moved(
-    values: Float[Tensor, "*batch y x"], motion: Float[Tensor, "2 y x"]
+    values: Float[Tensor, "*batch vy vx"], motion: Float[Tensor, "2 y x"]
 ) -> Float[Tensor, "*batch y x"]:
-    """Return values(p + m), interpolated linearly; 0 where p + m lies outside the picture."""
+    """Return values(p + m), interpolated linearly; what lies outside is that of the nearest edge.
+
+    Args:
+        values: as large as the motion, or with a frame of so many pixels on every side.
+        motion: m.
+    """
     height, width = values.shape[-2:]
-    x = torch.arange(width, device=motion.device) + motion[0]
-    y = torch.arange(height, device=motion.device)[:, None] + motion[1]
-    grid = torch.stack([2 * x / max(width - 1, 1) - 1, 2 * y / max(height - 1, 1) - 1], dim=-1)
+    frame = (width - motion.shape[-1]) // 2
+    x, y = _places(motion)
+    across, down = 2 / max(width - 1, 1), 2 / max(height - 1, 1)
+    grid = torch.stack([across * (x + frame) - 1, down * (y + frame) - 1], dim=-1)
     planes = values.reshape(1, -1, height, width)
     found = grid_sample(planes, grid[None], padding_mode="border", align_corners=True)
-    inside = (x >= -0.5) & (x <= width - 0.5) & (y >= -0.5) & (y <= height - 0.5)
-    return (found * inside).reshape(values.shape)
+    return found.reshape(*values.shape[:-2], *motion.shape[-2:])
+
+
+def framed(values: Float[Tensor, "*batch y x"]) -> Float[Tensor, "*batch y+2 x+2"]:
+    """Return values with one pixel more on every side: means of what is near that edge."""
+    result = pad(values, (1, 1, 1, 1))
+    result[..., 1:-1, 0] = _mean_along(values[..., :_NEAR].mean(dim=-1))
+    result[..., 1:-1, -1] = _mean_along(values[..., -_NEAR:].mean(dim=-1))
+    result[..., 0, :] = _mean_along(result[..., 1 : 1 + _NEAR, :].mean(dim=-2))
+    result[..., -1, :] = _mean_along(result[..., -1 - _NEAR : -1, :].mean(dim=-2))
+    return result
+
+
+def comes_from_inside(motion: Float[Tensor, "2 y x"]) -> Bool[Tensor, "y x"]:
+    """Return where p + m lies in the picture."""
+    height, width = motion.shape[-2:]
+    x, y = _places(motion)
+    return (x >= -0.5) & (x <= width - 0.5) & (y >= -0.5) & (y <= height - 0.5)
+
+
+def _places(motion: Tensor) -> tuple[Float[Tensor, "y x"], Float[Tensor, "y x"]]:
+    """Return x and y of p + m."""
+    height, width = motion.shape[-2:]
+    x = torch.arange(width, device=motion.device) + motion[0]
+    return x, torch.arange(height, device=motion.device)[:, None] + motion[1]
+
+
+def _mean_along(line: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch n"]:
+    lines = line.reshape(1, -1, line.shape[-1])
+    mean = avg_pool1d(lines, 2 * _NEAR - 1, 1, _NEAR - 1, count_include_pad=False)
+    return mean.reshape(line.shape)
 
 
 def _halved(picture: Float[Tensor, "y x"]) -> Float[Tensor, "hy hx"]:

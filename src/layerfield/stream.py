@@ -26,7 +26,7 @@ from layerfield.display import Display
 from layerfield.fast import FastMethod, warm_steps
 from layerfield.light_field import LightField
 from layerfield.methods import Method, RunOptions, SolverMethod, ToneMethod
-from layerfield.motion import block_motion, moved
+from layerfield.motion import block_motion, comes_from_inside, moved
 from layerfield.solve import Clock, Problem, Solution, Solver
 from layerfield.solvers.fourier_admm import AdmmState
 from layerfield.solvers.fourier_start import FourierStart
@@ -193,7 +193,7 @@ def _unexplained(new: Tensor, old: Tensor, motion: Tensor) -> float:
 
     Infinite where all comes from outside, as may be in pictures of a few pixels.
     """
-    left, seen = new - moved(old, motion), moved(torch.ones_like(old), motion) > 0
+    left, seen = new - moved(old, motion), comes_from_inside(motion)
     if not seen.any():
         return math.inf
     return (left[seen].square().mean() / new.var().clamp(min=1e-8)).item()

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.motion import moved
+from layerfield.motion import framed, moved
 from layerfield.solve import Problem
 from layerfield.solvers.learned_admm import Constants, LearnedState, after_step
 
@@ -55,7 +55,8 @@ def moved_start(
     """Return where a frame starts from.
 
     What e asks for beyond the bounds is not the force of a bound: where motion is found wrongly
-    from frame to frame, it would add up in the dual until layers stay dark.
+    from frame to frame, it would add up in the dual until layers stay dark. What comes in at an
+    edge has the state that pixels near there have on average, rather than none.
 
     Args:
         even: e, its balanced start.
@@ -65,5 +66,5 @@ def moved_start(
         bounds: of layer pixels.
     """
     iterate = state.clamp(*bounds)
-    dual = moved(state - iterate, motion)
-    return dual.add_((even + moved(iterate - even_before, motion)).clamp_(*bounds))
+    dual = moved(framed(state - iterate), motion)
+    return dual.add_((even + moved(framed(iterate - even_before), motion)).clamp_(*bounds))

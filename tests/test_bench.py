@@ -416,6 +416,26 @@ def test_resume_and_force(desk):
     assert len(json.loads((desk / "made/bench.json").read_text())["rows"]) == 2
 
 
+def test_rows_of_other_things_of_the_same_name_are_not_gone_on_with(desk):
+    near = "\n".join(
+        ['name = "mine"', 'link = "additive"', "disparity = [1, 0, -1]", "views = [5, 5]"]
+    )
+    (desk / "mine.toml").write_text(near)
+    first = ["bench", "my-views", "--display", "mine.toml", "--methods", "nmf:1", "--repeats", "1"]
+    succeed(*first, "--out", "made")
+    before = (desk / "made/bench.json").read_bytes()
+    fails(
+        run(*first, "--crop", "24x24+0+0", "--out", "made", "--resume"), "light field", "my-views"
+    )
+    (desk / "mine.toml").write_text(near.replace("-1]", "-2]"))
+    fails(run(*first, "--out", "made", "--resume"), "display", "mine")
+    assert (desk / "made/bench.json").read_bytes() == before
+    (desk / "mine.toml").write_text(near.replace("mine", "other"))
+    succeed(*first, "--out", "made", "--resume")
+    found = json.loads((desk / "made/bench.json").read_text())
+    assert set(found["subjects"]["display"]) == {"mine", "other"}
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -13,7 +13,7 @@ from typing import Any
 import torch
 
 from layerfield.bench.figures import frontier_charts
-from layerfield.bench.frontier import Contest, run_contest, unserved
+from layerfield.bench.frontier import Contest, run_contest, subjects_of, unserved
 from layerfield.bench.growth_figure import growth_chart
 from layerfield.bench.reaching import reached
 from layerfield.bench.records import FRONTIER, SCALING, known_rows, write_record
@@ -52,10 +52,13 @@ def bench_methods(
         tick: called with a word on what is being done.
 
     Raises:
-        ValueError: views that are not those of a display, or rows of a run that was made otherwise.
+        ValueError: views that are not those of a display, rows of a run that was made otherwise, or
+            of other things of the same names.
     """
     facts = _facts(contest.effort, contest.device) | {"measures": _MEASURES}
-    known = [BenchRow.of_record(each) for each in known_rows(out / FRONTIER, facts)]
+    earlier = known_rows(out / FRONTIER, facts)
+    subjects = earlier.together_with(subjects_of(fields, contest), out / FRONTIER)
+    known = [BenchRow.of_record(each) for each in earlier.rows]
     left_out = [
         why
         for name, _ in contest.methods
@@ -66,7 +69,7 @@ def bench_methods(
     def keep(rows: Sequence[BenchRow]) -> None:
         summary = [each.as_record() for each in standings(rows)]
         near = [each.as_record() for each in reached(rows)]
-        record = facts | {"command": command, "left_out": left_out}
+        record = facts | {"command": command, "subjects": subjects, "left_out": left_out}
         record |= {"summary": summary, "within_a_tenth_db": near}
         write_record(out / FRONTIER, record | {"rows": [row.as_record() for row in rows]})
 
@@ -95,7 +98,7 @@ def bench_growth(
         ValueError: rows of a run that was made otherwise.
     """
     facts = _facts(growth.effort, growth.device) | {"measures": {"seconds": _MEASURES["seconds"]}}
-    known = [ScaleRow.of_record(each) for each in known_rows(out / SCALING, facts)]
+    known = [ScaleRow.of_record(each) for each in known_rows(out / SCALING, facts).rows]
 
     def keep(rows: Sequence[ScaleRow]) -> None:
         record = facts | {"command": command, "rows": [row.as_record() for row in rows]}

@@ -1,10 +1,13 @@
 """Every method with every number of iterations on every light field and display."""
 
+import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import torch
 
+from layerfield.bench.records import Subjects
 from layerfield.bench.road import EightBitViews
 from layerfield.bench.rows import BenchRow, Effort, Key, measured, with_peak
 from layerfield.display import Display
@@ -85,6 +88,29 @@ def parse_contenders(text: str, budgets: Sequence[int]) -> list[tuple[str, tuple
             ((name, iterations),) = parse_methods(entry, budget)
             found.setdefault(name, set()).add(iterations)
     return [(name, tuple(sorted(counts))) for name, counts in found.items()]
+
+
+def subjects_of(fields: Sequence[LightField], contest: Contest) -> Subjects:
+    """Return what names stand for: rows of one name compare only if that is the same."""
+    files = {name: file for name, _ in contest.methods if (file := find_method(name).file)}
+    return {
+        "light field": {field.name: _fingerprint(EightBitViews.of(field)) for field in fields},
+        "display": {
+            each.name: each.spec.model_dump(mode="json", exclude_defaults=True)
+            for each in contest.displays
+        },
+        "method": {
+            find_method(name).title: hashlib.sha256(Path(file).read_bytes()).hexdigest()
+            for name, file in files.items()
+        },
+    }
+
+
+def _fingerprint(views: EightBitViews) -> str:
+    """Return the sha256 of 8-bit views, their shape and their grid."""
+    digest = hashlib.sha256(repr((tuple(views.codes.shape), views.grid)).encode())
+    digest.update(views.codes.contiguous().numpy().tobytes())
+    return digest.hexdigest()
 
 
 def run_contest(

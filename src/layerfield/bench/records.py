@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,9 @@ from layerfield.io import whole_file
 from layerfield.metrics import finite
 
 FRONTIER, SCALING = "bench.json", "scaling.json"
+
+Subjects = dict[str, dict[str, Any]]
+"""By kind and name, what is measured or measured on: plain data that no two share."""
 
 
 def open_folder(out: Path, *, resume: bool, force: bool) -> None:
@@ -45,7 +49,37 @@ def write_record(path: Path, record: Mapping[str, Any]) -> None:
         temporary.write_text(json.dumps(finite(record), indent=1, allow_nan=False) + "\n", "utf-8")
 
 
-def known_rows(path: Path, facts: Mapping[str, Any]) -> list[dict[str, Any]]:
+@dataclass(frozen=True)
+class Known:
+    """What an earlier run has found.
+
+    Args:
+        rows: its rows.
+        subjects: what names in them stood for.
+    """
+
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    subjects: Subjects = field(default_factory=dict)
+
+    def together_with(self, subjects: Subjects, place: Path) -> Subjects:
+        """Return the subjects of both runs.
+
+        Raises:
+            ValueError: one name stands for two things.
+        """
+        both = {kind: dict(named) for kind, named in self.subjects.items()}
+        for kind, named in subjects.items():
+            known = both.setdefault(kind, {})
+            for name, what in named.items():
+                if known.setdefault(name, what) != what:
+                    raise ValueError(
+                        f"{place} has rows of another {kind} named '{name}'; give it another name, "
+                        "or another --out, or make all again with --force"
+                    )
+        return both
+
+
+def known_rows(path: Path, facts: Mapping[str, Any]) -> Known:
     """Return the rows of an earlier run with the same facts; none if there is no file.
 
     Args:
@@ -56,11 +90,12 @@ def known_rows(path: Path, facts: Mapping[str, Any]) -> list[dict[str, Any]]:
         ValueError: the file is damaged, or was made otherwise.
     """
     if not path.is_file():
-        return []
+        return Known()
     try:
         found = json.loads(path.read_text("utf-8"))
         rows, earlier = found["rows"], {name: found.get(name) for name in facts}
-    except (ValueError, TypeError, KeyError):
+        subjects = {kind: dict(named) for kind, named in found.get("subjects", {}).items()}
+    except (ValueError, TypeError, KeyError, AttributeError):
         raise ValueError(f"{path} is damaged; make it again with --force") from None
     for name, value in json.loads(json.dumps(facts)).items():
         if earlier[name] != value:
@@ -68,7 +103,7 @@ def known_rows(path: Path, facts: Mapping[str, Any]) -> list[dict[str, Any]]:
                 f"{path} was made with {name} {_short(earlier[name])}, found {_short(value)}; ask "
                 "for the same, or make it again with --force"
             )
-    return rows
+    return Known(rows, subjects)
 
 
 def _short(value: Any) -> str:

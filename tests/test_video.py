@@ -206,6 +206,9 @@ def test_videos_with_losses_are_near_and_even(single, form):
     how = [*QUILT, "--frames", "0:20", "--batch", "10", "--format", form]
     succeed("video", "film.mkv", *how, "--out", "out")
     exact = layers(single)
+    row = read_figures("out")[7]
+    assert row["psnr_before_compression"] == pytest.approx(read_figures(single)[7]["psnr"], abs=1)
+    assert "psnr" not in row
     for k in range(3):
         found = pixels(Path(f"out/layers/layer_{k}.mp4"))
         assert found.shape[0] == 20

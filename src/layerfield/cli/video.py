@@ -219,7 +219,7 @@ def _remarks(job: Job) -> list[str]:
     notes = [f"note: {note}" for note in (*job.source.notes, *job.opening.notes)]
     notes += values_taken_for_light(job.opening, job.display)
     height, width = (n + 2 * m for n, m in zip(job.opening.size, job.display.margin, strict=True))
-    if FORMS[job.form].even and (height % 2 or width % 2):
+    if FORMS[job.form].lossy and (height % 2 or width % 2):
         notes.append(
             f"note: the layers are {width}x{height} px; {job.form} has even sizes only, so the "
             "last column or row is repeated"
@@ -228,13 +228,13 @@ def _remarks(job: Job) -> list[str]:
 
 
 def _report(out: Path, job: Job) -> None:
-    rows = read_figures(out)
-    errors = [row["mean_square_error"] for row in rows]
+    rows, lossy = read_figures(out), FORMS[job.form].lossy
+    errors = [row[f"mean_square_error{'_before_compression' * lossy}"] for row in rows]
     worst = rows[errors.index(max(errors))]
     seconds = statistics.fmean(row["seconds"] for row in rows)
     say(
         f"{len(rows)} frames by {find_method(job.method).title} on {job.display.name}: "
         f"{decibels(statistics.fmean(errors)):.2f} dB, the worst {decibels(max(errors)):.2f} dB "
-        f"(frame {worst['frame']}); {seconds:.2f} s a frame"
+        f"(frame {worst['frame']}){', before compression' * lossy}; {seconds:.2f} s a frame"
     )
     say(f"{len(job.tracks)} tracks, {FORMS[job.form].title}, are in {out}")

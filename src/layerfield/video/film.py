@@ -45,7 +45,8 @@ class Film:
         suffix: of the files, which says their container.
         pixels: the pixel format for channels and bits.
         options: of the encoder.
-        even: whether sizes are made even, by repeating an edge, and colours those of BT.709.
+        lossy: whether pixels come back changed. Sizes are made even then, by repeating an edge,
+            and colours those of BT.709.
     """
 
     title: str
@@ -54,7 +55,7 @@ class Film:
     suffix: str
     pixels: Mapping[tuple[int, int], str]
     options: Mapping[str, str]
-    even: bool
+    lossy: bool
 
     def refuse_missing(self) -> None:
         if find_spec("av") is None:
@@ -111,11 +112,11 @@ class FilmWriter:
         film, (channels, height, width) = self._film, codes.shape
         stream = self._container.add_stream(film.codec, rate=self._rate, options=dict(film.options))
         assert isinstance(stream, av.VideoStream)
-        stream.height, stream.width = (n + n % 2 * film.even for n in (height, width))
+        stream.height, stream.width = (n + n % 2 * film.lossy for n in (height, width))
         stream.pix_fmt = film.pixels[channels, 8 * codes.element_size()]
         context = stream.codec_context
         context.thread_count = 1  # what encoders make may depend on it
-        if film.even:
+        if film.lossy:
             context.color_primaries = context.color_trc = context.colorspace = _BT709
             context.color_range = _LIMITED
         return stream
@@ -126,7 +127,7 @@ def _frame(codes: Codes, film: Film) -> "av.VideoFrame":
 
     kind = (codes.shape[0], 8 * codes.element_size())
     pixels = np.ascontiguousarray(np.moveaxis(codes.cpu().numpy(), 0, -1))
-    if not film.even:
+    if not film.lossy:
         plain = pixels[..., 0] if kind[0] == 1 else pixels
         stored = av.VideoFrame.from_ndarray(plain, _STORED[kind])
         return stored.reformat(format=film.pixels[kind])

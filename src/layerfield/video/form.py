@@ -33,7 +33,7 @@ class Form(Protocol):
     Attributes:
         title: one phrase for people.
         bits: that it can keep.
-        even: whether its sizes are even, so that an edge of layers may be repeated.
+        lossy: whether pixels come back changed; sizes are made even then, by repeating an edge.
     """
 
     @property
@@ -43,7 +43,7 @@ class Form(Protocol):
     def bits(self) -> tuple[int, ...]: ...
 
     @property
-    def even(self) -> bool: ...
+    def lossy(self) -> bool: ...
 
     def refuse_missing(self) -> None:
         """Refuse a form that needs a package which is not there.

@@ -14,7 +14,7 @@ FORMS: dict[str, Form] = {
         suffix=".mkv",
         pixels={(1, 8): "gray", (3, 8): "bgr0", (1, 16): "gray16le", (3, 16): "gbrp16le"},
         options={"level": "3", "g": "1", "slices": "4", "slicecrc": "1"},
-        even=False,
+        lossy=False,
     ),
     "h264": Film(
         title="video with losses (H.264)",
@@ -23,7 +23,7 @@ FORMS: dict[str, Form] = {
         suffix=".mp4",
         pixels=_HALF_COLOUR,
         options={"crf": "14", "preset": "medium", "bf": "0"},  # decoded in the order of their times
-        even=True,
+        lossy=True,
     ),
     "av1": Film(
         title="video with losses (AV1)",
@@ -32,7 +32,7 @@ FORMS: dict[str, Form] = {
         suffix=".mp4",
         pixels=_HALF_COLOUR,
         options={"crf": "18", "preset": "8"},
-        even=True,
+        lossy=True,
     ),
     "png": Pictures(),
 }

@@ -15,7 +15,7 @@ class Pictures:
 
     title: str = "PNG, a folder for each frame"
     bits: tuple[int, ...] = (8, 16)
-    even: bool = False
+    lossy: bool = False
 
     def refuse_missing(self) -> None:
         """Nothing can be missing."""

@@ -64,7 +64,8 @@ def make_batch(job: Job, batch: Batch, tick: Callable[[int], None] | None = None
         for writer, picture in zip(writers, pictures, strict=True):
             writer.add(number, picture)
         light = dequantise(codes, job.display.transfer)
-        rows.append(_figures(number, solution, _error(light, field, job.display)))
+        error = _error(light, field, job.display)
+        rows.append(_figures(number, solution, error, lossy=form.lossy))
         if tick is not None:
             tick(number)
     files = {name: data for writer in writers for name, data in writer.files().items()}
@@ -110,11 +111,12 @@ def _error(
     return sum(errors) / len(errors)
 
 
-def _figures(number: int, solution: Solution, error: float) -> dict[str, Any]:
+def _figures(number: int, solution: Solution, error: float, *, lossy: bool) -> dict[str, Any]:
+    when = "_before_compression" if lossy else ""
     row = {
         "frame": number,
-        "psnr": decibels(error),
-        "mean_square_error": error,
+        f"psnr{when}": decibels(error),
+        f"mean_square_error{when}": error,
         "iterations": solution.iterations,
         "seconds": solution.seconds,
         **solution.details,

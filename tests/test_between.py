@@ -153,6 +153,19 @@ def test_problem_with_eyes_is_that_of_a_denser_grid(field, around):
         torch.testing.assert_close(problem.view(layers, i), expected[eye])
 
 
+def test_eyes_between_count_as_the_viewpoints_around_them(field, around):
+    display, between = Display.load("additive-3"), given_between(around, field)
+    fields = replace(field, between=between)
+    weights = tuple(float(n) for n in range(25))
+    posed = pose(fields, display, weights).weights
+    by_eye = dict(zip(between.positions, posed[25:], strict=True))
+    assert by_eye[-1.5, -2.0] == pytest.approx(between.weight * 0.5)  # between 0 and 1
+    assert by_eye[2.0, 1.5] == pytest.approx(between.weight * 21.5)  # between 19 and 24
+    assert by_eye[0.5, 0.5] == pytest.approx(between.weight * 15.0)  # amid 12, 13, 17, 18
+    same = [pose(fields, display, [w] * 25) for w in (1.0, 100.0)]
+    assert same[1].weights == pytest.approx([100 * w for w in same[0].weights])
+
+
 def test_networks_ignore_targets_between_and_what_follows_them_does_not(field):
     display = Display.load("additive-3")
     asked = replace(field, between=interpolated_between(field))

@@ -4,11 +4,13 @@ Eyes are seldom at a viewpoint. Between two of them, what a display shows is in 
 mean of what it shows at both: finer detail off the display plane fades. Layers may give up a little
 at the viewpoints to gain between them:
 
-    minimise  sum_i ||A_i P - L_i||^2 + w sum_h ||A_h P - L_h||^2
+    minimise  sum_i w_i ||A_i P - L_i||^2 + w sum_h w_h ||A_h P - L_h||^2
 
-over the eyes h between them. L_h is given, or interpolated between neighbouring views.
+over the eyes h between them. L_h is given, or interpolated between neighbouring views; w_h is how
+much the viewpoints around count (1 unless observers say so).
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -16,7 +18,7 @@ import torch
 from torch import Tensor
 
 from layerfield.display import Display
-from layerfield.geometry import Point
+from layerfield.geometry import Geometry, Point
 from layerfield.kept_views import KeptViews
 from layerfield.light_field import EyeViews, LightField
 from layerfield.solve import Problem
@@ -142,5 +144,26 @@ def with_eyes(problem: Problem, display: Display, eyes: EyeViews) -> Problem:
             geometry.shifts + shifts, geometry.magnifications + magnifications, display.margin
         ),
         views=KeptViews(torch.cat([problem.target, light.to(problem.target)], dim=-4)),
-        weights=problem.weights + (eyes.weight,) * len(shifts),
+        weights=problem.weights
+        + tuple(eyes.weight * _weight_at(eye, problem.weights, geometry) for eye in eyes.positions),
     )
+
+
+def _weight_at(eye: Point, weights: Sequence[float], geometry: Geometry) -> float:
+    """Return how much viewpoints around an eye count, interpolated linearly."""
+    rows, columns = geometry.grid or (1, 1)
+    (left, right, across), (top, bottom, down) = (
+        _neighbours(place, count) for place, count in zip(eye, (columns, rows), strict=True)
+    )
+    upper, lower = (
+        (1 - across) * weights[row * columns + left] + across * weights[row * columns + right]
+        for row in (top, bottom)
+    )
+    return (1 - down) * upper + down * lower
+
+
+def _neighbours(place: float, count: int) -> tuple[int, int, float]:
+    """Return the viewpoints on both sides of a place along an axis, and the share of the second."""
+    at = place + (count - 1) / 2
+    first = min(max(math.floor(at), 0), count - 1)
+    return first, min(first + 1, count - 1), at - first

@@ -30,7 +30,7 @@ KINDS = {
     "travel 3 views": lambda seed: travelled(GEOMETRY, 3.0, FRAMES, size=SIZE, seed=seed),
     "things to 3 px": lambda seed: animated(GEOMETRY, 3.0, FRAMES, size=SIZE, seed=seed),
 }
-RUNS = (("warm", 3), ("warm", 4), ("cold", 3), ("cold", 5))
+RUNS = (("warm", 3), ("warm", 4), ("warm", 6), ("cold", 3), ("cold", 5), ("cold", 8))
 
 
 def main(out: Path) -> None:

@@ -203,3 +203,15 @@ def _road(link):
 def test_views_are_never_all_floats(link):
     taken, all_floats = in_own_process(_road, link)
     assert taken < 0.9 * all_floats
+
+
+def test_figures_of_unlike_views_are_refused():
+    with pytest.raises(ValueError, match=r"\(2, 3, 12, 12\) and a target of \(1, 3, 12, 12\)"):
+        psnr(torch.zeros(2, 3, 12, 12), torch.zeros(1, 3, 12, 12))
+
+
+def test_views_that_are_no_numbers_are_refused():
+    views = torch.zeros(25, 3, 8, 8)
+    views[7, 1, 2, 3] = torch.nan
+    with pytest.raises(ValueError, match="no numbers"):
+        synthesize(LightField(views, (5, 5)), Display.load("additive-3"))

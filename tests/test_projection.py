@@ -255,3 +255,16 @@ def test_subframes_are_averaged():
     layers = torch.rand(2, 3, 1, 12, 12)
     average = (display(layers[:1]) + display(layers[1:])) / 2
     torch.testing.assert_close(display(layers), average)
+
+
+@pytest.mark.parametrize("shape", [(1, 2, 3, 20, 24), (1, 4, 3, 20, 24)])
+def test_layers_of_another_display_are_refused(shape):
+    display, layers = Display.load("additive-3"), torch.zeros(shape)
+    looks = (
+        display,
+        lambda given: display.view(given, 0),
+        lambda given: display.look(given, (0, 0)),
+    )
+    for show in looks:
+        with pytest.raises(ValueError, match="subframes, 3 layers"):
+            show(layers)

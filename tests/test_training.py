@@ -341,6 +341,9 @@ WRONG = {
     "negative rate": ("rate = -1e-3", "'optimiser.rate' is -0.001"),
     "unknown network": ('network = "unnet"', "unknown network 'unnet'; did you mean 'unet'"),
     "unknown option": ("options = { widht = 4 }", "unknown key 'options.widht'"),
+    "option of nothing": ("options = { width = 0 }", "'options.width' is 0, expected a whole"),
+    "option of a switch": ("options = { skips = 2 }", "'options.skips' is 2, expected true"),
+    "option of a number": ("options = { depth = true }", "'options.depth' is True"),
     "unknown display": ('display = "additive-4"', "unknown display 'additive-4'"),
     "no patches": ("patch = 2", "'stored.patch' is 2"),
     "two sources": ("[fields]\nfolder = 'x'\npatch = 24\n[judging]", "found [stored] and [fields]"),
@@ -371,7 +374,16 @@ def test_other_wrong_trainings_are_one_line(tmp_path, monkeypatch):
         "intensities = [1.0, 0.5]", ""
     )
     Path("missing.toml").write_text(missing)
+    twice = [
+        'name = "twice"',
+        'link = "multiplicative"',
+        "disparity = [1, 0, -1]",
+        "views = [5, 5]",
+    ]
+    Path("twice.toml").write_text("\n".join([*twice, "subframes = 2"]))
+    Path("flicker.toml").write_text(TINY.replace('"additive-3"', '"twice.toml"'))
     cases = {
+        "train flicker.toml": "display 'twice' has 2 subframes",
         "train quikc": "unknown recipe 'quikc'; did you mean 'quick'",
         "train missing.toml": "there is no folder none",
         "train tiny.toml --resume": "holds no checkpoint.safetensors to resume from",

@@ -15,6 +15,7 @@ from layerfield.panel_spec import PanelSpec
 from layerfield.warped_projection import nearest, project, projection_of, reach
 
 _PRESETS = files("layerfield") / "displays"
+_DIMENSIONS = 5  # of layers: subframe, layer, channel, y, x
 
 
 class Display(nn.Module):
@@ -83,13 +84,23 @@ class Display(nn.Module):
     def forward(
         self, layers: Float[Tensor, "*batch subframe layer c ly lx"]
     ) -> Float[Tensor, "*batch view c y x"]:
-        """Return the views that layers show, unclipped."""
+        """Return the views that layers show, unclipped.
+
+        Raises:
+            ValueError: not as many layers as the display has.
+        """
+        self._refuse_other(layers)
         return compose_views(layers, self.projection, self.link)
 
     def view(
         self, layers: Float[Tensor, "*batch subframe layer c ly lx"], index: int
     ) -> Float[Tensor, "*batch c y x"]:
-        """Return one view that layers show, unclipped: `forward` takes the memory of all."""
+        """Return one view that layers show, unclipped: `forward` takes the memory of all.
+
+        Raises:
+            ValueError: not as many layers as the display has.
+        """
+        self._refuse_other(layers)
         return compose_view(layers, self.projection, self.link, index)
 
     def adjoint(
@@ -114,8 +125,9 @@ class Display(nn.Module):
 
         Raises:
             ValueError: the eye is at or behind the front layer, or no distance is given and those
-                of the viewpoints differ.
+                of the viewpoints differ; or not as many layers as the display has.
         """
+        self._refuse_other(layers)
         magnifications = self.geometry.magnifications_from(self._distance(distance))
         size = self.projection.view_size(layers)
         shifts = tuple(
@@ -127,6 +139,13 @@ class Display(nn.Module):
             margin = max(margin[0], reach(y, m, size[0])), max(margin[1], reach(x, m, size[1]))
         wider = self.surround(layers, margin, self.margin)
         return compose_view(wider, project((shifts,), (magnifications,), margin), self.link, 0)
+
+    def _refuse_other(self, layers: Tensor) -> None:
+        if layers.dim() < _DIMENSIONS or layers.shape[-4] != self.layer_count:
+            raise ValueError(
+                f"the layers have shape {tuple(layers.shape)}, display '{self.name}' expects "
+                f"(subframes, {self.layer_count} layers, channels, height, width)"
+            )
 
     def _distance(self, given: float | None) -> float:
         distances = self.geometry.distances

@@ -48,9 +48,13 @@ def mean_square_error(views: Tensor, target: Tensor) -> float:
 def psnr(views: Tensor, target: Tensor) -> float:
     """Return the pooled peak signal-to-noise ratio in dB, peak 1.
 
+    Raises:
+        ValueError: views and target differ in shape.
+
     >>> round(psnr(torch.zeros(25, 3, 8, 8), torch.full((25, 3, 8, 8), 0.1)), 3)
     20.0
     """
+    _refuse_unlike(views, target)
     return decibels(mean_square_error(views, target))
 
 
@@ -85,8 +89,20 @@ def ssim(views: Views, target: Views) -> float:
     around every pixel, the views mirrored at their borders.
 
     Reference: Wang et al., IEEE Trans. Image Processing 13(4), 2004, equation 13.
+
+    Raises:
+        ValueError: views and target differ in shape.
     """
+    _refuse_unlike(views, target)
     return sum(map(_similarity, views, target)) / len(views)
+
+
+def _refuse_unlike(views: Tensor, target: Tensor) -> None:
+    if views.shape != target.shape:
+        raise ValueError(
+            f"found views of shape {tuple(views.shape)} and a target of {tuple(target.shape)}, "
+            "expected the same"
+        )
 
 
 def _similarity(view: Float[Tensor, "c y x"], wanted: Float[Tensor, "c y x"]) -> float:

@@ -71,7 +71,8 @@ def synthesize_frames(
         fields: the frames, all of one size.
         display: what shows them.
         method: one of `METHODS`, a weight file, or NETWORK+SOLVER.
-        iterations: of every frame that has one before; those of `fast` are learned up to four.
+        iterations: of every frame that has one before; those of `fast` are learned up to
+            eight.
         weights: how much each view counts, at least 0; all alike if not given. For solvers.
 
     Raises:

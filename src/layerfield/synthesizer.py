@@ -176,8 +176,10 @@ def pose(field: LightField, display: Display, weights: Sequence[float] | None = 
     Eyes between the viewpoints, if the light field has any, are further light paths.
 
     Raises:
-        ValueError: the views are not those of the display.
+        ValueError: the views are not those of the display, or hold what is no number.
     """
+    if field.stored.is_floating_point() and not field.stored.sum().isfinite():
+        raise ValueError(f"'{field.name}' has pixels that are no numbers, expected values 0 to 1")
     expected = display.geometry.grid
     if expected is not None and field.grid != expected:
         found, wanted = ("{}x{}".format(*grid) for grid in (field.grid, expected))

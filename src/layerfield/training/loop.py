@@ -69,9 +69,19 @@ class Run:
 
     @cached_property
     def display(self) -> Display:
-        """The display that is trained for."""
+        """The display that is trained for.
+
+        Raises:
+            ValueError: there is none, or it has subframes.
+        """
         beside = self.folder / self.recipe.display
-        return Display.load(beside if beside.is_file() else self.recipe.display)
+        found = Display.load(beside if beside.is_file() else self.recipe.display)
+        if found.subframes > 1:
+            raise ValueError(
+                f"display '{found.name}' has {found.subframes} subframes, networks make one "
+                "picture of every layer; train for a display without, or take a solver"
+            )
+        return found
 
 
 def train(run: Run) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, StrictBool, StrictInt, model_validator
 
 from layerfield.nearest import did_you_mean
 from layerfield.networks import NETWORKS
@@ -183,7 +183,7 @@ class Recipe(Table):
     description: str = ""
     display: str
     network: str
-    options: dict[str, Count | bool] = {}
+    options: dict[str, StrictInt | StrictBool] = {}
     stored: StoredScenes | None = None
     drawn: DrawnScenes | None = None
     fields: FieldFolder | None = None
@@ -203,10 +203,14 @@ class Recipe(Table):
             raise ValueError(
                 f"unknown network '{self.network}'{did_you_mean(self.network, NETWORKS)}"
             )
-        known = list(inspect.signature(NETWORKS[self.network]).parameters)[2:]
-        for key in self.options:
+        known = dict(list(inspect.signature(NETWORKS[self.network]).parameters.items())[2:])
+        for key, value in self.options.items():
             if key not in known:
                 raise ValueError(f"unknown key 'options.{key}'{did_you_mean(key, known)}")
+            switch = isinstance(known[key].default, bool)
+            if isinstance(value, bool) != switch or not (switch or value >= 1):
+                expected = "true or false" if switch else "a whole number of at least 1"
+                raise ValueError(f"'options.{key}' is {value!r}, expected {expected}")
         return self
 
     @model_validator(mode="after")

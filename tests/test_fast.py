@@ -72,6 +72,33 @@ def test_the_fast_steps_are_those_of_the_formula(size, steps):
     assert torch.allclose(made.layers, model(problem), atol=2e-5)
 
 
+MANY = "link = 'additive'\nviews = [3, 3]\ndisparity = [1, 0.75, 0.5, 0.25, 0, -0.25, -0.5, -1]"
+
+
+def test_the_steps_of_many_layers_are_those_of_the_formula():
+    problem = Problem.of(display(MANY), torch.rand(9, 1, 40, 44))
+    model = LearnedSteps(3, 2)
+    with torch.no_grad():
+        model.full[:, 1], model.full[:, 4] = 2.4, 0.4
+    made = solve(problem, model.rows().direct, iterations=3)
+    assert torch.allclose(made.layers, model(problem), atol=2e-5)
+    few = model.rows().full[1]
+    assert few.among(4) == few
+    assert few.among(8).relaxation == pytest.approx(1.8)
+    assert few.among(8).momentum == pytest.approx(0.2)
+
+
+def test_more_steps_of_many_layers_are_better():
+    """As bold as those of few, twelve are worse than eight."""
+    field = procedural_light_field(grid=(3, 3), size=(64, 80), seed=2001)
+    problem = pose(field, display(MANY))
+    known, errors = shipped_steps("additive"), []
+    for n in (2, 4, 8, 12):
+        run = solve(problem, known.solver(n), iterations=n)
+        errors.append(problem.mean_square_error(run.layers))
+    assert errors == sorted(errors, reverse=True)
+
+
 def test_gradients_of_the_formula_are_right():
     """Also through the resolvent, by the penalty, and through the band around the views."""
     problem = Problem.of(Display.load("additive-3"), torch.rand(25, 1, 36, 40).double())

@@ -11,14 +11,13 @@ from layerfield.frequencies import multiply
 from layerfield.solve import Problem
 from layerfield.solvers.fourier_admm import dual_at_bounds
 from layerfield.solvers.fourier_start import FourierStart
-from layerfield.solvers.learned_admm import BALANCE, Constants
+from layerfield.solvers.learned_admm import BALANCE, Constants, stride
 
 _LEAST = 0.01  # curvature, as a share of the weight of all views: no pixel is moved more boldly
 # Of the first steps and of those behind them: momentum pays once long strides are made.
 _PLAIN = Constants(penalty=0.5, relaxation=1.2, trust=1.0, kept=1.0, momentum=0.0)
 _LATER = Constants(penalty=0.5, relaxation=1.2, trust=1.0, kept=1.0, momentum=0.5)
 _STRIDES = 4
-_LAYERS = 4  # that may go as far as they want
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,15 +162,6 @@ def slope(
                     layer = bent[..., k, :, :, :]
                     projection.scatter_product_(layer, others, others, i, k, weight)
     return result
-
-
-def stride(layers: int) -> float:
-    """Return the share of relaxation and momentum that steps of so many layers take.
-
-    Each layer goes as if the others stayed where they are. Where many go at once, their product
-    goes too far: from five layers on, whole steps made scenes worse than they began.
-    """
-    return min(1.0, _LAYERS / layers)
 
 
 def renews_scale(count: int) -> bool:

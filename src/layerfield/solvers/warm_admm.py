@@ -35,7 +35,7 @@ class WarmAdmm:
         return LearnedState(problem.gram.to_torus(problem.even_start() if start is None else start))
 
     def step(self, problem: Problem, state: LearnedState) -> LearnedState:
-        constants = self.full[min(state.count, len(self.full) - 1)]
+        constants = self.full[min(state.count, len(self.full) - 1)].among(problem.layer_count)
         after = after_step(problem, state.shadow, state.before, constants)
         return LearnedState(after, state.shadow, state.count + 1)
 

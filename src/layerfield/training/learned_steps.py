@@ -25,8 +25,14 @@ from layerfield.gram import Gram
 from layerfield.projection import sum_of
 from layerfield.solve import Problem
 from layerfield.solvers.fourier_admm import dual_at_bounds
-from layerfield.solvers.learned_admm import BALANCE, Constants, coarse_grid
-from layerfield.solvers.newton_admm import renews_scale, scale_of, slope, stride
+from layerfield.solvers.learned_admm import (
+    BALANCE,
+    OVERRELAXED,
+    Constants,
+    coarse_grid,
+    stride,
+)
+from layerfield.solvers.newton_admm import renews_scale, scale_of, slope
 
 _FIRST = {"penalty": math.log(0.02), "relaxation": 1.6, "trust": 1.0, "kept": 0.6, "momentum": 0.0}
 _LAST_PENALTY = math.log(0.1)
@@ -67,12 +73,14 @@ class LearnedSteps(nn.Module):
     ) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         """Return s after all full steps from a state; see `WarmAdmm`."""
         gram = problem.gram
-        return gram.from_torus(_steps(problem, gram.to_torus(state), _real(self.full)))
+        full = _among(problem.layer_count, _real(self.full))
+        return gram.from_torus(_steps(problem, gram.to_torus(state), full))
 
     def forward(self, problem: Problem) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         """Return the layers of a problem whose link is a sum, in the bounds of the problem."""
         gram, bounds = problem.gram, problem.bounds
-        full, coarse = _real(self.full), _real(self.coarse, _SOFTEST)
+        real = _real(self.full), _real(self.coarse, _SOFTEST)
+        full, coarse = (_among(problem.layer_count, rows) for rows in real)
         data = _completed(problem, gram.to_torus(problem.even_start()))
         shadow = _first(gram.spectral, data, full[0], coarse, bounds)
         return gram.from_torus(_steps(problem, shadow, full[1:])).clamp(*bounds)
@@ -137,6 +145,14 @@ def _real(rows: Tensor, softest: float = 0.0) -> Tensor:
     """Return constants for what is learned of them: a penalty is above the softest."""
     assert rows.shape[-1] == len(fields(Constants))
     return torch.cat([rows[:, :1].exp() + softest, rows[:, 1:]], dim=1)
+
+
+def _among(layers: int, rows: Tensor) -> Tensor:
+    """Return rows as `Constants.among` does each."""
+    penalty, relaxation, trust, kept, momentum = rows.unbind(dim=1)
+    share = stride(layers)
+    relaxation = relaxation - (1 - share**2) * (relaxation - OVERRELAXED).relu()
+    return torch.stack([penalty, relaxation, trust, kept, share * momentum], dim=1)
 
 
 def _first(

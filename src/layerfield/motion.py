@@ -1,5 +1,7 @@
 """Where things went from one picture to the next: block matching, coarse to fine."""
 
+from itertools import product
+
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -8,6 +10,7 @@ from torch.nn.functional import avg_pool1d, avg_pool2d, grid_sample, interpolate
 BLOCK = 8  # pixels that move alike
 _ROUGH_BLOCK, _ROUGH_REACH = 4, 4  # pixels of a quarter of the size, so that 19 px are found
 _NEAR = 5  # pixels from an edge, and along it
+_WIDE = 1 << 16  # no motion goes so far
 _STRAY = 1e-3  # what a pixel of motion unlike that of most must bring; where all is even, none does
 
 
@@ -128,9 +131,10 @@ def _costs(
     x = (x[..., None] + span).clamp(0, width - 1)
     y = (y[..., None] + span).clamp(0, height - 1)
     windows = old[y[..., :, None], x[..., None, :]].unfold(2, block, 1).unfold(3, block, 1)
-    errors = (windows - tiles[:, :, None, None]).square_().mean(dim=(-2, -1))
-    by_step = errors.flatten(2).movedim(-1, 0)
-    return avg_pool2d(by_step, 3, 1, 1, count_include_pad=False)
+    steps = product(range(2 * reach + 1), repeat=2)
+    # One after the other: what is between stays in the cache.
+    errors = [(windows[:, :, i, j] - tiles).square_().mean(dim=(-2, -1)) for i, j in steps]
+    return avg_pool2d(torch.stack(errors), 3, 1, 1, count_include_pad=False)
 
 
 def _most(tried: Int[Tensor, "2 step by bx"], costs: Tensor) -> Int[Tensor, " 2"]:
@@ -138,8 +142,7 @@ def _most(tried: Int[Tensor, "2 step by bx"], costs: Tensor) -> Int[Tensor, " 2"
     best, spread = costs.argmin(dim=0), costs.amax(dim=0) - costs.amin(dim=0)
     chosen = tried.gather(1, best.expand(2, 1, *best.shape))[:, 0]
     voting = chosen[:, spread >= spread.mean()]
-    found, counts = voting.unique(dim=1, return_counts=True)
-    return found[:, counts.argmax()]
+    return voting[:, (voting[0] * _WIDE + voting[1]).mode().indices]
 
 
 def _fraction(costs: Tensor, best: Tensor, stride: int, inside: Tensor) -> Tensor:

@@ -532,6 +532,8 @@ def test_damaged_models_are_refused(what: str, words: tuple[str, ...]):
         (["sample", "--path", "bad.csv"], ("bad.csv, line 2", "azimuth,elevation")),
         (["sample", "--turntable", "2", "--path", "bad.csv"], ("leave out either",)),
         (["sample", "--exposure", "99"], ("exposure",)),
+        (["sample", "--samples", "9"], ("--samples 9", "--preview", "leave out either")),
+        (["sample", "--seed", "0"], ("--seed 0", "--preview", "leave out either")),
         (["dark.xml", "--up", "z"], ("leave out up and no-ground",)),
         (["broken.xml"], ("cannot be read as a scene of Mitsuba",)),
         (["dark.xml"], ("has no light",)),

@@ -17,6 +17,7 @@ from layerfield.rendering.placement import Fit, Pose
 from layerfield.rendering.poses import read_poses, turntable
 
 _PLACE, _MOVES = "Place", "Animation"
+_SAMPLES = 64  # paths for each pixel
 _ELEVATION = 20.0  # degrees from which models are looked down upon
 
 Number = float | None
@@ -28,8 +29,9 @@ class QualityOptions:
 
     size: Annotated[str, typer.Option("--size", help="WxH of a view, pixels")] = "512x384"
     samples: Annotated[
-        int, typer.Option("--samples", min=1, help="paths for each pixel: more take noise away")
-    ] = 64
+        int | None,
+        typer.Option("--samples", min=1, help="paths for each pixel: more take noise away; 64"),
+    ] = None
     quick: Annotated[
         bool, typer.Option("--preview", help="only what each pixel sees first, no shadows: seconds")
     ] = False
@@ -37,18 +39,25 @@ class QualityOptions:
         bool, typer.Option("--depth", help="write depth and disparity of every view, too")
     ] = False
     exposure: Annotated[float, typer.Option("--exposure", help="in stops")] = 0.0
-    seed: Annotated[int, typer.Option("--seed", help="of the noise")] = 0
+    seed: Annotated[int | None, typer.Option("--seed", help="of the noise; 0")] = None
     bits: Bits = 8
 
     def parsed(self) -> Quality:
         """Return what the renderer takes; raise a ValueError that says what is wrong."""
         largest_code(self.bits)
+        if self.quick:
+            for name, given in (("--samples", self.samples), ("--seed", self.seed)):
+                if given is not None:
+                    raise ValueError(
+                        f"found {name} {given}, but --preview traces no paths and has no noise; "
+                        "leave out either"
+                    )
         return Quality(
             size=_parse_size(self.size),
-            samples=0 if self.quick else self.samples,
+            samples=0 if self.quick else self.samples or _SAMPLES,
             exposure=self.exposure,
             bits=self.bits,
-            seed=self.seed,
+            seed=self.seed or 0,
             maps=self.maps,
         )
 

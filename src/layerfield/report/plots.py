@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,8 @@ from torch import Tensor
 INK, MUTED, GRID = "#191c21", "#5f646e", "#dddfe3"
 TITLE, TEXT, SMALL = 12, 10, 9  # points
 _DPI = 110
+_SLIMMEST = 2.0  # pictures higher than so many times their width are drawn less wide
+_LETTERS, _LINE = 13, 0.17  # small ones in an inch, and the height of their line in inches
 _MOST_COLUMNS = 4  # of a legend
 
 
@@ -186,10 +189,11 @@ def sheet(given: Sheet) -> Figure:
     """Draw rows of pictures with a name at the left of every row."""
     columns = max(len(cells) for _, _, cells in given.rows)
     height, width = given.rows[0][2][0].pixels.shape[-2:]
-    tall = given.width * height / width + 0.45
-    figure = blank(
-        given.width * columns + 0.5, max(tall, 1.5) * len(given.rows) + 0.65, given.title
-    )
+    tall = given.width * min(height / width, _SLIMMEST) + 0.45
+    wide = given.width * columns + 0.5
+    note = fill(given.note, int(wide * _LETTERS))
+    high = max(tall, 1.5) * len(given.rows) + 0.65 + _LINE * note.count("\n")
+    figure = blank(wide, high, given.title)
     all_axes = figure.subplots(len(given.rows), columns, squeeze=False)
     for row, (name, colour, cells) in zip(all_axes, given.rows, strict=True):
         for axes in row:
@@ -201,8 +205,8 @@ def sheet(given: Sheet) -> Figure:
             -0.04, 0.5, name, transform=row[0].transAxes, rotation=90, ha="right", va="center",
             color=colour, fontsize=TEXT, fontweight="bold",
         )  # fmt: skip
-    if given.note:
-        figure.supxlabel(given.note, fontsize=SMALL, color=MUTED)
+    if note:
+        figure.supxlabel(note, fontsize=SMALL, color=MUTED)
     return figure
 
 

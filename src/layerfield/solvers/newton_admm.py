@@ -18,19 +18,25 @@ _LEAST = 0.01  # curvature, as a share of the weight of all views: no pixel is m
 _PLAIN = Constants(penalty=0.5, relaxation=1.2, trust=1.0, kept=1.0, momentum=0.0)
 _LATER = Constants(penalty=0.5, relaxation=1.2, trust=1.0, kept=1.0, momentum=0.5)
 _STRIDES = 4
+_TELLING = 8  # views, at the least, say whether the error has grown
+_ALL = (-4, -3, -2, -1)  # directions of a view
+_GROWN = 1 + 1e-4  # the error, by more than rounding
 
 
 @dataclass(frozen=True, eq=False)
 class NewtonState:
     """Iterate and dual, s = z + u, those of one step ago, D, and the steps made.
 
-    At the start there are layers only: s is z. Without one of a step ago there is no momentum.
+    At the start there are layers only: s is z. Without one of a step ago there is no momentum. Of
+    every light field of a batch, the error of the iterate of one step ago, and how boldly steps go.
     """
 
     shadow: Float[Tensor, "*batch 1 layer c ly lx"]
     before: Float[Tensor, "*batch 1 layer c ly lx"] | None = None
     scale: Float[Tensor, "*batch 1 layer c ly lx"] | None = None
     count: int = 0
+    error: Float[Tensor, "*batch 1 1 1 1 1"] | None = None
+    boldness: Float[Tensor, "*batch 1 1 1 1 1"] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +57,10 @@ class NewtonAdmm:
                + momentum (s - s of one step ago)
 
     A step reads every view once, where a sweep does for every layer; and it moves light of low
-    frequency as far as it has to go. Of more than four layers it is shorter, see `stride`.
+    frequency as far as it has to go. Of more than four layers it is shorter, see `stride`; and half
+    as long whenever the error has grown: where views are shown badly, what G leaves out, how layers
+    bend what shows through others, leads away from the optimum (all layers on one side of the
+    display plane, say).
 
     Args:
         full: constants of every step; behind them come plain ones.
@@ -68,12 +77,13 @@ class NewtonAdmm:
         known = self._constants(state.count, problem.layer_count)
         spectral, rho = problem.gram.spectral, known.penalty * problem.gram.spectral.weight
         iterate = state.shadow.clamp(*problem.bounds)
+        error = iterate.new_zeros(*iterate.shape[:-5], 1, 1, 1, 1, 1)
         if renews_scale(state.count):
             curvature = torch.zeros_like(iterate)
-            found = slope(problem, iterate, curvature)
+            found = slope(problem, iterate, curvature, error)
             scale = scale_of(curvature, spectral.weight)
         else:
-            found, scale = slope(problem, iterate), state.scale
+            found, scale = slope(problem, iterate, error=error), state.scale
         assert scale is not None
         dual = state.shadow - iterate
         if state.scale is None:
@@ -84,14 +94,15 @@ class NewtonAdmm:
         right = found.div_(scale).div_(rho).addcmul_(dual, scale, value=known.trust)
         resolvent = spectral.resolvent(known.penalty, BALANCE, gain=-known.relaxation)
         spectrum = multiply(resolvent, spectral.to_frequencies(problem.gram.to_torus(right)))
+        boldness = _boldness(state, error)
         moved = problem.gram.from_torus(spectral.to_pixels(spectrum)) / scale
-        moved.add_(iterate).add_(dual, alpha=known.kept)
         if state.before is not None:
             moved.add_(state.shadow - state.before, alpha=known.momentum)
+        moved.mul_(boldness).add_(iterate).add_(dual, alpha=known.kept)
         made = state.count + 1
         # The last learned step looks to nothing behind it: not a change to be made once more.
         before = None if made == len(self.full) else state.shadow
-        return NewtonState(moved, before, scale, made)
+        return NewtonState(moved, before, scale, made, error, boldness)
 
     def _constants(self, count: int, layers: int) -> Constants:
         if count < len(self.full):
@@ -139,6 +150,7 @@ def slope(
     problem: Problem,
     layers: Float[Tensor, "*batch 1 layer c ly lx"],
     curvature: Float[Tensor, "*batch 1 layer c ly lx"] | None = None,
+    error: Float[Tensor, "*batch 1 1 1 1 1"] | None = None,
 ) -> Float[Tensor, "*batch 1 layer c ly lx"]:
     """Return g_k = sum_i w_i A_ik^T o_ik (link(P)_i - L_i), what the error grows by.
 
@@ -146,14 +158,20 @@ def slope(
         problem: of any link.
         layers: P.
         curvature: to which sum_i w_i A_ik^T o_ik^2 is added.
+        error: to which sum_i w_i ||link(P)_i - L_i||^2 is added, of eight views or a few more: they
+            tell whether it grows.
     """
     projection, link, result = problem.projection, problem.link, torch.zeros_like(layers)
+    norms, every = list[Tensor](), max(1, len(problem.weights) // _TELLING)
     for alone, piece in problem.pieces():
         seen, slopes = piece.of_layers(layers), piece.of_layers(result)
         bent = None if curvature is None else piece.of_layers(curvature)
         for i, weight in enumerate(problem.weights):
             pixels = projection.windows(seen, i)
             residual = link.compose(pixels) - alone.light(i).unsqueeze(-4)
+            if error is not None and i % every == 0:
+                norm = torch.linalg.vector_norm(residual, dim=_ALL, keepdim=True)
+                norms.append(norm * weight**0.5)
             for k in range(problem.layer_count):
                 others = link.derivative(pixels, k)
                 layer = slopes[..., k, :, :, :]
@@ -161,7 +179,16 @@ def slope(
                 if bent is not None:
                     layer = bent[..., k, :, :, :]
                     projection.scatter_product_(layer, others, others, i, k, weight)
+    if error is not None:
+        error += torch.stack(norms).square().sum(dim=0).unsqueeze(-5)
     return result
+
+
+def _boldness(state: NewtonState, error: Tensor) -> Tensor:
+    known = torch.ones_like(error) if state.boldness is None else state.boldness
+    if state.error is None:
+        return known
+    return torch.where(error > _GROWN * state.error, known / 2, known)
 
 
 def renews_scale(count: int) -> bool:

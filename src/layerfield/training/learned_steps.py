@@ -88,7 +88,10 @@ class LearnedSteps(nn.Module):
     def behind(
         self, problem: Problem, layers: Float[Tensor, "*batch 1 layer c ly lx"]
     ) -> Float[Tensor, "*batch 1 layer c ly lx"]:
-        """Return layers after all Newton steps from some; see `NewtonAdmm`."""
+        """Return layers after all Newton steps from some; see `NewtonAdmm`.
+
+        Steps here stay as bold as they are: those that were learned lower the error.
+        """
         bounds, gram, weight = problem.bounds, problem.gram, problem.gram.spectral.weight
         shadow, before, scale = layers, None, torch.ones_like(layers)
         share = stride(problem.layer_count)

@@ -162,7 +162,8 @@ def runs(commands: list[str]) -> None:
         if words[0] == "view" and "--export" not in words:
             words += ["--export", "served.html", "--force"]
         if words[0] == "render":
-            words += ["--size", "32x24", "--samples", "1"]
+            words += ["--size", "32x24"]
+            words += [] if "--preview" in words else ["--samples", "1"]
         done = run(*words)
         assert done.status == 0, f"{command}\n{done.err}"
 

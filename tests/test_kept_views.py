@@ -215,3 +215,9 @@ def test_views_that_are_no_numbers_are_refused():
     views[7, 1, 2, 3] = torch.nan
     with pytest.raises(ValueError, match="no numbers"):
         synthesize(LightField(views, (5, 5)), Display.load("additive-3"))
+
+
+def test_many_bright_views_of_half_precision_are_numbers():
+    """Their sum is beyond what half precision holds."""
+    views = torch.ones(25, 3, 40, 40, dtype=torch.float16)
+    pose(LightField(views, (5, 5)), Display.load("additive-3"))

@@ -178,7 +178,7 @@ def pose(field: LightField, display: Display, weights: Sequence[float] | None = 
     Raises:
         ValueError: the views are not those of the display, or hold what is no number.
     """
-    if field.stored.is_floating_point() and not field.stored.sum().isfinite():
+    if field.stored.is_floating_point() and not field.stored.isfinite().all():
         raise ValueError(f"'{field.name}' has pixels that are no numbers, expected values 0 to 1")
     expected = display.geometry.grid
     if expected is not None and field.grid != expected:

@@ -3,7 +3,6 @@
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import torch
 
@@ -92,7 +91,7 @@ def parse_contenders(text: str, budgets: Sequence[int]) -> list[tuple[str, tuple
 
 def subjects_of(fields: Sequence[LightField], contest: Contest) -> Subjects:
     """Return what names stand for: rows of one name compare only if that is the same."""
-    files = {name: file for name, _ in contest.methods if (file := find_method(name).file)}
+    methods = [find_method(name) for name, _ in contest.methods]
     return {
         "light field": {field.name: _fingerprint(EightBitViews.of(field)) for field in fields},
         "display": {
@@ -100,8 +99,9 @@ def subjects_of(fields: Sequence[LightField], contest: Contest) -> Subjects:
             for each in contest.displays
         },
         "method": {
-            find_method(name).title: hashlib.sha256(Path(file).read_bytes()).hexdigest()
-            for name, file in files.items()
+            method.title: hashlib.sha256(file.read_bytes()).hexdigest()
+            for method in methods
+            if (file := method.file)
         },
     }
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from contextlib import ExitStack
 from typing import Any, NamedTuple
 
 import torch
@@ -9,6 +10,8 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 from torch.utils.flop_counter import flop_registry
+
+from layerfield.kernels.compiled import plain
 
 _REAL, _COMPLEX = 1.0, 2.0  # operations of an element of the result, unless listed here
 _PER_ELEMENT = {"mul": (1, 6), "div": (1, 6), "addcmul": (2, 8), "addcdiv": (2, 8), "lerp": (2, 4)}
@@ -41,15 +44,24 @@ class OperationCounter(TorchDispatchMode):
                                          sum, 6 for a product, 8 for both
         sums, means and extremes         1 for every value that goes in
 
-    Copies, views of memory and changes of type count as nothing. Kernels that are launched past
-    PyTorch's operators are not seen. `operations` is their number, `transforms` the calls of
-    Fourier transforms.
+    Copies, views of memory and changes of type count as nothing. Compiled loops stand aside for
+    what they replace; what else is done past PyTorch's operators is not seen. `operations` is their
+    number, `transforms` the calls of Fourier transforms.
     """
 
     def __init__(self) -> None:
         super().__init__()
         self.operations = 0.0
         self.transforms: list[tuple[Any, _Array, tuple]] = []
+        self._inside = ExitStack()
+
+    def __enter__(self) -> "OperationCounter":
+        self._inside.enter_context(plain())
+        return super().__enter__()
+
+    def __exit__(self, *why: Any) -> None:
+        super().__exit__(*why)
+        self._inside.close()
 
     def __torch_dispatch__(
         self, func: Any, types: Any, args: tuple = (), kwargs: dict | None = None

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.frequencies import multiply
+from layerfield.kernels import light_paths
 from layerfield.solve import Problem
 from layerfield.solvers.fourier_admm import dual_at_bounds
 from layerfield.solvers.fourier_start import FourierStart
@@ -163,6 +164,12 @@ def slope(
     """
     projection, link, result = problem.projection, problem.link, torch.zeros_like(layers)
     norms, every = list[Tensor](), max(1, len(problem.weights) // _TELLING)
+    if light_paths.serves(projection, link, problem.views, layers):
+        passed = problem.views, problem.weights
+        light_paths.add_up_(
+            result, layers, projection, link, *passed, second=curvature, error=error, every=every
+        )
+        return result
     for alone, piece in problem.pieces():
         seen, slopes = piece.of_layers(layers), piece.of_layers(result)
         bent = None if curvature is None else piece.of_layers(curvature)

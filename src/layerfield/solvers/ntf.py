@@ -6,6 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from layerfield.kernels import light_paths
+from layerfield.kernels.light_paths import Shares
 from layerfield.solve import Problem
 
 
@@ -46,6 +48,12 @@ def _ratio(
     projection, link = problem.projection, problem.link
     wanted = torch.zeros_like(layers[..., index, :, :, :])
     found = torch.zeros_like(wanted)
+    if light_paths.serves(projection, link, problem.views, layers):
+        passed = layers, projection, link, problem.views, problem.weights
+        sums = wanted.unsqueeze(-4), found.unsqueeze(-4)
+        light_paths.add_up_(sums[0], *passed, shares=Shares(0, 1), only=index)
+        light_paths.add_up_(sums[1], *passed, shares=Shares(1, 0), only=index)
+        return _quotient(wanted, found)
     for alone, piece in problem.pieces():
         seen, over, under = (piece.of_layers(each) for each in (layers, wanted, found))
         for i, weight in enumerate(problem.weights):
@@ -55,4 +63,8 @@ def _ratio(
             target = alone.light(i).unsqueeze(-4)
             projection.scatter_product_(over, others, target, i, index, weight)
             projection.scatter_product_(under, others, shown, i, index, weight)
+    return _quotient(wanted, found)
+
+
+def _quotient(wanted: Tensor, found: Tensor) -> Tensor:
     return torch.where(found > 0, wanted / found.clamp(min=1e-12), 1)

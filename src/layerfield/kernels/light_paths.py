@@ -1,0 +1,292 @@
+"""What all light paths of a display add to the pixels that they meet, in one pass over the views.
+
+    first_k  += sum_i w_i A_ik^T o_ik (a shown_i + b L_i)
+    second_k += sum_i w_i A_ik^T o_ik^2
+
+shown_i is what view i shows of the layers, a sum or a product of the pixels along each path; o_ik
+its derivative by the pixel of layer k; L_i what the view is to show.
+"""
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from layerfield.kept_views import LARGEST, KeptViews
+from layerfield.kernels.compiled import compiled, is_plain
+from layerfield.kernels.threads import in_threads
+from layerfield.links import Additive, Link, Multiplicative
+from layerfield.projection import Projection
+
+_ROWS = 32  # of a band, at the least: neighbouring ones wait for each other
+
+
+class Shares(NamedTuple):
+    """How much of what is shown and of what is to be shown enters `first`: a, b."""
+
+    shown: float = 1.0
+    light: float = -1.0
+
+
+_SLOPE = Shares()
+
+
+class _Taps(NamedTuple):
+    """`Projection.taps` as arrays; of windows that are fewer than the most the rest is unused."""
+
+    top: np.ndarray
+    left: np.ndarray
+    weight: np.ndarray
+    windows: np.ndarray
+
+
+class _Views(NamedTuple):
+    """`[n, view, c, y, x]` as stored, what codes stand for if a law says so, and weights."""
+
+    stored: np.ndarray
+    table: np.ndarray
+    weights: np.ndarray
+
+
+class _Sums(NamedTuple):
+    """What is added to: `[n, chosen, c, ly, lx]` twice, the second or nothing; and errors."""
+
+    first: np.ndarray
+    second: np.ndarray
+    errors: np.ndarray
+
+
+class _Law(NamedTuple):
+    """What is added: shares of what is shown and to be shown, whether it is a product, layers."""
+
+    of_shown: np.float32
+    of_light: np.float32
+    is_product: bool
+    begin: int
+    end: int
+    every: int
+
+
+def serves(projection: Projection, link: Link, views: KeptViews, layers: Tensor) -> bool:
+    """Whether `add_up_` takes these: a sum or a product of pixels, single precision, a processor.
+
+    Light paths go straight (no magnifications), and a subframe is all there is.
+    """
+    return (
+        not is_plain()
+        and type(projection) is Projection
+        and isinstance(link, Additive | Multiplicative)
+        and layers.shape[-5] == 1
+        and layers.device.type == "cpu"
+        and layers.dtype == views.like.dtype == torch.float32
+        and not (torch.is_grad_enabled() and (layers.requires_grad or views.stored.requires_grad))
+    )
+
+
+def add_up_(  # noqa: PLR0913
+    first: Float[Tensor, "*batch 1 chosen c ly lx"],
+    layers: Float[Tensor, "*batch 1 layer c ly lx"],
+    projection: Projection,
+    link: Link,
+    views: KeptViews,
+    weights: Sequence[float],
+    *,
+    shares: Shares = _SLOPE,
+    second: Float[Tensor, "*batch 1 chosen c ly lx"] | None = None,
+    only: int | None = None,
+    error: Float[Tensor, "*batch 1 1 1 1 1"] | None = None,
+    every: int = 1,
+) -> None:
+    """Add what light paths bring to `first` and `second`, in place; see `serves`.
+
+    Args:
+        first: a contiguous tensor, for all layers or the only one.
+        layers: P; not looked at where neither a nor o depends on them.
+        projection: A.
+        link: a sum or a product.
+        views: L.
+        weights: w, one for every view.
+        shares: a and b; the slope of the error as they are.
+        second: a contiguous tensor, or none to be added to.
+        only: the only layer that anything is added to.
+        error: to which sum_i w_i ||a shown_i + b L_i||^2 is added, of some views.
+        every: how many views there are to one of them.
+
+    Raises:
+        ValueError: layers or sums of other shapes than those of the display and the views.
+    """
+    *several, _, channels, _, _ = views.stored.shape
+    begin, end = (0, len(projection.shifts[0])) if only is None else (only, only + 1)
+    size = (channels, *projection.layer_size(views.stored))
+    for planes, number in ((layers, len(projection.shifts[0])), (first, end - begin)):
+        if planes.shape != (*several, 1, number, *size):
+            expected = (*several, 1, number, *size)
+            raise ValueError(f"found layers of shape {tuple(planes.shape)}, expected {expected}")
+    seen, taps, batch = _planes(layers.contiguous()), _taps(projection), math.prod(several)
+    height, rows = views.stored.shape[-2], max(_ROWS, 2 * projection.margin[0] + 1)
+    bands = math.ceil(height / rows)
+    stored = _planes(views.stored.contiguous())
+    table = torch.empty(0) if views.table is None else views.table.contiguous()
+    kept = _Views(stored, table.numpy(), np.asarray(weights, dtype=np.float32))
+    squares = _planes(first)[:0] if second is None else _planes(second.view_as(first))
+    sums = _Sums(_planes(first), squares, np.zeros((batch, channels, bands)))
+    unit = LARGEST[views.stored.dtype] if views.is_whole and views.table is None else 1
+    law = _Law(
+        np.float32(shares.shown),
+        np.float32(shares.light / unit),
+        isinstance(link, Multiplicative),
+        begin,
+        end,
+        0 if error is None else every,
+    )
+    for parity in (0, 1):  # bands side by side add to the same rows of the layers
+        mine = list(product(range(batch), range(channels), range(parity, bands, 2)))
+
+        def task(number: int, mine: list[tuple[int, int, int]] = mine) -> None:
+            _add_band(seen, kept, taps, sums, law, rows, mine[number])
+
+        in_threads(task, len(mine))
+    if error is not None:
+        total = torch.from_numpy(sums.errors.sum(axis=(1, 2))).to(error)
+        error += total.view(error.shape)
+
+
+def _planes(layers: Tensor) -> np.ndarray:
+    return layers.detach().view(-1, *layers.shape[-4:]).numpy()
+
+
+@lru_cache(maxsize=16)
+def _taps(projection: Projection) -> _Taps:
+    known = projection.taps
+    shape = len(known), len(known[0]), max(len(taps) for layers in known for taps in layers)
+    found = _Taps(
+        np.zeros(shape, dtype=np.int64),
+        np.zeros(shape, dtype=np.int64),
+        np.zeros(shape, dtype=np.float32),
+        np.zeros(shape[:2], dtype=np.int64),
+    )
+    for i, layers in enumerate(known):
+        for k, taps in enumerate(layers):
+            found.windows[i, k] = len(taps)
+            for n, (top, left, weight) in enumerate(taps):
+                found.top[i, k, n], found.left[i, k, n], found.weight[i, k, n] = top, left, weight
+    return found
+
+
+@compiled
+def _add_band(layers, views, taps, sums, law, rows, place):
+    """Add what paths through a band of rows of the views bring to one channel of the layers.
+
+    Loops over pixels are simple ones on whole rows, and outer ones go up: others stay scalar.
+    """
+    item, channel, band = place
+    top, left, share, windows = taps.top, taps.left, taps.weight, taps.windows
+    first, second, stored, table = sums.first, sums.second, views.stored, views.table
+    number, height, width = layers.shape[1], stored.shape[3], stored.shape[4]
+    pixels = np.zeros((number, width), layers.dtype)
+    slopes = np.ones((number, width), layers.dtype)
+    value = np.zeros(width, layers.dtype)
+    error = 0.0
+    for y in range(band * rows, min(height, (band + 1) * rows)):
+        for i in range(len(views.weights)):
+            weight = views.weights[i]
+            for k in range(number if law.is_product or law.of_shown != 0 else 0):
+                for n in range(windows[i, k]):
+                    x0, y0 = left[i, k, n], y + top[i, k, n]
+                    row = layers[item, k, channel, y0, x0 : x0 + width]
+                    _look(pixels[k], row, share[i, k, n], n > 0)
+            if law.is_product:
+                _multiply(pixels, slopes, value)
+            else:
+                _add(pixels, value)
+            _compare(value, stored[item, i, channel, y], table, law.of_shown, law.of_light)
+            if law.every > 0 and i % law.every == 0:
+                error += weight * _square(value)
+            for k in range(law.begin, law.end):
+                for n in range(windows[i, k]):
+                    x0, y0, w = left[i, k, n], y + top[i, k, n], weight * share[i, k, n]
+                    row = first[item, k - law.begin, channel, y0, x0 : x0 + width]
+                    _add_product(row, slopes[k], value, w)
+                    if len(second) > 0:
+                        row = second[item, k - law.begin, channel, y0, x0 : x0 + width]
+                        _add_product(row, slopes[k], slopes[k], w)
+    sums.errors[item, channel, band] = error
+
+
+@compiled
+def _look(pixels, row, share, further):
+    """Find a share of the pixels that are looked at, or a further one."""
+    if further:
+        for x in range(len(pixels)):
+            pixels[x] += share * row[x]
+    else:
+        for x in range(len(pixels)):
+            pixels[x] = share * row[x]
+
+
+@compiled
+def _add(pixels, value):
+    """Find the sum; its slopes are 1."""
+    for x in range(len(value)):
+        value[x] = pixels[0, x]
+    for k in range(1, len(pixels)):
+        met = pixels[k]
+        for x in range(len(value)):
+            value[x] += met[x]
+
+
+@compiled
+def _multiply(pixels, slopes, value):
+    """Find the product, and its slopes: what is in front of a layer times what is behind it."""
+    number, width = pixels.shape
+    for k in range(1, number):
+        met, before, slope = pixels[k - 1], slopes[k - 1], slopes[k]
+        for x in range(width):
+            slope[x] = met[x]
+        if k > 1:
+            for x in range(width):
+                slope[x] *= before[x]
+    met = pixels[number - 1]
+    for x in range(width):
+        value[x] = met[x]
+    for n in range(2, number + 1):
+        met, slope = pixels[number - n], slopes[number - n]
+        if n < number:
+            for x in range(width):
+                slope[x] *= value[x]
+        else:
+            for x in range(width):
+                slope[x] = value[x]
+        for x in range(width):
+            value[x] *= met[x]
+
+
+@compiled
+def _compare(value, light, table, of_shown, of_light):
+    """Weigh what is shown against what is to be shown."""
+    if len(table) > 0:
+        for x in range(len(value)):
+            value[x] = of_shown * value[x] + of_light * table[np.int64(light[x])]
+    else:
+        for x in range(len(value)):
+            value[x] = of_shown * value[x] + of_light * light[x]
+
+
+@compiled
+def _square(value):
+    total = np.float32(0)
+    for x in range(len(value)):
+        total += value[x] * value[x]
+    return total
+
+
+@compiled
+def _add_product(row, one, other, share):
+    for x in range(len(row)):
+        row[x] += share * one[x] * other[x]

@@ -1,0 +1,200 @@
+"""Compiled loops: the same as PyTorch's, whatever the views, layers, weights and threads."""
+
+import os
+import signal
+from dataclasses import replace
+
+import numba
+import pytest
+import torch
+
+from layerfield import Display, Problem
+from layerfield.display_spec import parse_spec
+from layerfield.kept_views import KeptViews
+from layerfield.kernels import compiled, light_paths
+from layerfield.kernels.compiled import plain
+from layerfield.kernels.threads import in_threads
+from layerfield.solvers import ntf, sweeps
+from layerfield.solvers.newton_admm import slope
+
+SHOWN = {
+    "three layers": "views = [3, 3]\ndisparity = [1, 0, -1]",
+    "two layers, fractions": "views = [3, 4]\ndisparity = [0.7, -0.4]",
+    "one layer": "views = [2, 2]\ndisparity = [0.0]",
+    "six layers": "views = [2, 3]\ndisparity = [2, 1, 0.5, 0, -1, -2]",
+    "one row": "views = [1, 5]\ndisparity = [1.3, 0, -1]",
+}
+KEPT = ["codes", "codes of 16 bits", "linear light", "values", "a window of more"]
+
+
+def display(kind: str, link: str) -> Display:
+    return Display(parse_spec(f'name = "d"\nlink = "{link}"\n{SHOWN[kind]}', "a test"))
+
+
+def kept(kind: str, count: int, batch: tuple[int, ...] = ()) -> KeptViews:
+    """Return views of 75 rows, which are three bands."""
+    generator = torch.Generator().manual_seed(5)
+    values = torch.rand(*batch, count, 2, 75, 20, generator=generator)
+    if kind == "values":
+        return KeptViews(values)
+    if kind == "codes of 16 bits":
+        return KeptViews((values * 65535).to(torch.uint16))
+    codes = KeptViews((values * 255).to(torch.uint8))
+    if kind == "a window of more":
+        return replace(codes, stored=codes.stored[..., 1:15])
+    return codes.then(lambda light: light**2.2) if kind == "linear light" else codes
+
+
+def posed(
+    kind: str, link: str, views: str = "codes", batch: tuple[int, ...] = ()
+) -> tuple[Problem, torch.Tensor]:
+    """Return a problem with weights of its own, and layers within bounds."""
+    shown = display(kind, link)
+    weights = [1.0 + n % 3 for n in range(shown.view_count)]
+    problem = Problem.of(shown, kept(views, shown.view_count, batch), weights)
+    generator = torch.Generator().manual_seed(3)
+    return problem, torch.rand(problem.layer_shape, generator=generator)
+
+
+def same(found: torch.Tensor, expected: torch.Tensor) -> bool:
+    return torch.allclose(found, expected, rtol=1e-5, atol=1e-5 * float(expected.abs().max()))
+
+
+def served(problem: Problem, layers: torch.Tensor) -> bool:
+    return light_paths.serves(problem.projection, problem.link, problem.views, layers)
+
+
+@pytest.mark.parametrize("link", ["additive", "multiplicative"])
+@pytest.mark.parametrize("kind", SHOWN)
+@pytest.mark.parametrize("views", KEPT)
+def test_slope_curvature_and_error_are_those_of_pytorch(kind, link, views):
+    problem, layers = posed(kind, link, views)
+    assert served(problem, layers)
+
+    def found() -> tuple[torch.Tensor, ...]:
+        curvature, error = torch.zeros_like(layers), torch.ones(1, 1, 1, 1, 1)
+        return slope(problem, layers, curvature, error), curvature, error, slope(problem, layers)
+
+    compiled_ones = found()
+    with plain():
+        assert not served(problem, layers)
+        expected = found()
+    assert all(map(same, compiled_ones, expected))
+
+
+@pytest.mark.parametrize("link", ["additive", "multiplicative"])
+@pytest.mark.parametrize("batch", [(2,), (2, 3)])
+def test_light_fields_of_a_batch_do_not_mix(link, batch):
+    problem, layers = posed("two layers, fractions", link, batch=batch)
+    error = torch.zeros(*batch, 1, 1, 1, 1, 1)
+    found = slope(problem, layers, error=error)
+    with plain():
+        expected_error = torch.zeros_like(error)
+        expected = slope(problem, layers, error=expected_error)
+    assert same(found, expected)
+    assert same(error, expected_error)
+
+
+@pytest.mark.parametrize("link", ["additive", "multiplicative"])
+@pytest.mark.parametrize("kind", SHOWN)
+def test_a_sweep_is_that_of_pytorch(kind, link):
+    problem, layers = posed(kind, link, batch=(2,))
+    for index in range(problem.layer_count):
+        found = sweeps.best_layer(problem, layers, index)
+        with plain():
+            assert same(found, sweeps.best_layer(problem, layers, index))
+
+
+def test_a_multiplicative_update_is_that_of_pytorch():
+    problem, layers = posed("three layers", "multiplicative")
+    found = ntf.Ntf().step(problem, layers)
+    with plain():
+        assert same(found, ntf.Ntf().step(problem, layers))
+
+
+@pytest.mark.parametrize("views", KEPT)
+@pytest.mark.parametrize("kind", SHOWN)
+def test_views_seen_from_the_layers_are_those_of_pytorch(kind, views):
+    problem, _ = posed(kind, "additive", views)
+    found = problem.back_projected
+    with plain():
+        assert same(found, replace(problem).back_projected)
+
+
+def test_sums_do_not_depend_on_the_threads():
+    problem, layers = posed("two layers, fractions", "multiplicative")
+    one = slope(problem, layers)
+    torch.set_num_threads(3)
+    assert torch.equal(slope(problem, layers), one)
+
+
+def test_what_is_not_served_is_left_to_pytorch():
+    problem, layers = posed("three layers", "polarisation")
+    assert not served(problem, layers)
+    problem, layers = posed("three layers", "multiplicative")
+    assert not served(problem, layers.double())
+    assert not served(problem, layers.clone().requires_grad_())
+    assert not served(replace(problem, views=KeptViews(torch.rand(9, 2, 9, 9).double())), layers)
+    assert not served(problem, torch.cat([layers, layers], dim=-5))
+    values = KeptViews(torch.rand(9, 2, 75, 20).requires_grad_())
+    assert not served(replace(problem, views=values), layers)
+    with torch.no_grad():
+        assert served(replace(problem, views=values), layers.clone().requires_grad_())
+        slope(replace(problem, views=values), layers.clone().requires_grad_())
+    (gradient,) = torch.autograd.grad(slope(problem, layers.requires_grad_()).sum(), layers)
+    assert gradient.abs().sum() > 0
+
+
+def test_layers_of_another_size_are_refused():
+    problem, layers = posed("three layers", "multiplicative")
+    with pytest.raises(ValueError, match=r"found layers of shape .* expected \(1, 3, 2, 77, 22\)"):
+        slope(problem, layers[..., 1:])
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_every_task_is_done_once(threads):
+    torch.set_num_threads(threads)
+    done: list[int] = []
+    in_threads(done.append, 50)
+    assert sorted(done) == list(range(50))
+    in_threads(done.append, 0)
+    assert len(done) == 50
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_what_a_task_raises_is_raised(threads):
+    torch.set_num_threads(threads)
+    with pytest.raises(ZeroDivisionError):
+        in_threads(lambda number: print(1 // (number - 7)), 50)
+
+
+def test_tasks_are_done_in_a_forked_process():
+    """It has none of the threads that its parent had."""
+    torch.set_num_threads(3)
+    in_threads(lambda _: None, 5)
+    child = os.fork()
+    if child == 0:
+        signal.alarm(20)
+        done: list[int] = []
+        in_threads(done.append, 50)
+        os._exit(0 if len(done) == 50 else 1)
+    assert os.waitpid(child, 0)[1] == 0
+
+
+def test_what_cannot_be_kept_on_disk_is_compiled_all_the_same(monkeypatch):
+    known = numba.njit
+
+    def nowhere(function, *, cache=False, **options):
+        if cache:
+            raise RuntimeError("cannot cache function: no locator available for file")
+        return known(function, **options)
+
+    monkeypatch.setattr(numba, "njit", nowhere)
+
+    def double(values):
+        for n in range(len(values)):
+            values[n] *= 2
+
+    values = torch.arange(3.0).numpy()
+    compiled.compiled(double)(values)
+    assert values.tolist() == [0, 2, 4]

@@ -2,6 +2,8 @@
 
 import os
 import signal
+import threading
+import time
 from dataclasses import replace
 
 import numba
@@ -164,8 +166,17 @@ def test_every_task_is_done_once(threads):
 @pytest.mark.parametrize("threads", [1, 3])
 def test_what_a_task_raises_is_raised(threads):
     torch.set_num_threads(threads)
+    begun: list[int] = []
+
+    def task(number: int) -> None:
+        begun.append(number)
+        if threading.current_thread() is threading.main_thread():
+            raise ZeroDivisionError
+        time.sleep(0.05)
+
     with pytest.raises(ZeroDivisionError):
-        in_threads(lambda number: print(1 // (number - 7)), 50)
+        in_threads(task, 50)
+    assert len(begun) < 10
 
 
 def test_tasks_are_done_in_a_forked_process():

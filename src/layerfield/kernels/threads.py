@@ -27,7 +27,10 @@ def in_threads(task: Callable[[int], None], count: int) -> None:
 
     helpers = min(torch.get_num_threads(), count) - 1
     waiting = [_pool(os.getpid()).submit(work) for _ in range(helpers)]
-    work()
+    try:
+        work()
+    finally:
+        left.clear()  # of an interrupted call nothing more is begun
     for each in waiting:
         if not each.cancel():
             each.result()

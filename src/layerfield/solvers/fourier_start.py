@@ -37,7 +37,7 @@ class FourierStart:
         """Return the settings for a link.
 
         Where it bends, sweeps are damped and dear (a sweep takes as long as fifteen direct
-        iterations, for a product as long as five), so that a better start pays. Chosen on
+        iterations, for a product as long as four), so that a better start pays. Chosen on
         procedural scenes.
         """
         return cls(FourierAdmm(penalty=0.02), direct_iterations=40) if link.bend else cls()

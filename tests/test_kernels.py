@@ -13,7 +13,7 @@ import torch
 from layerfield import Display, Problem
 from layerfield.display_spec import parse_spec
 from layerfield.kept_views import KeptViews
-from layerfield.kernels import compiled, light_paths
+from layerfield.kernels import compiled
 from layerfield.kernels.compiled import plain
 from layerfield.kernels.threads import in_threads
 from layerfield.solvers import ntf, sweeps
@@ -63,7 +63,7 @@ def same(found: torch.Tensor, expected: torch.Tensor) -> bool:
 
 
 def served(problem: Problem, layers: torch.Tensor) -> bool:
-    return light_paths.serves(problem.projection, problem.link, problem.views, layers)
+    return problem.light_paths.serve(layers)
 
 
 @pytest.mark.parametrize("link", ["additive", "multiplicative"])

@@ -7,8 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.kept_views import LARGEST, KeptViews
-from layerfield.kernels import light_paths
-from layerfield.kernels.light_paths import Shares
+from layerfield.kernels.light_paths import LightPaths, Shares
 from layerfield.links import Additive
 from layerfield.pieces import pieces
 from layerfield.projection import Projection
@@ -38,8 +37,9 @@ def back_projected(
             return sums.to(torch.float32).mul_(weights[0]).div_(largest)
     layers = _none(projection, views, views.like.dtype)
     alone = layers.unsqueeze(-5)  # the only subframe
-    if light_paths.serves(projection, _SUM, views, alone):
-        light_paths.add_up_(alone, alone, projection, _SUM, views, weights, shares=Shares(0, 1))
+    paths = LightPaths(projection, _SUM, views, weights)
+    if paths.serve(alone):
+        paths.add_up_(alone, alone, shares=Shares(0, 1))
         return layers
     for piece in pieces(projection, views):
         seen, part = piece.of_views(views), piece.of_layers(layers).unbind(dim=-4)

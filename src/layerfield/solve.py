@@ -22,6 +22,7 @@ from layerfield.display import Display
 from layerfield.display_constants import coverage_of, gram_of
 from layerfield.gram import Gram
 from layerfield.kept_views import KeptViews
+from layerfield.kernels.light_paths import LightPaths
 from layerfield.links import Additive, Link
 from layerfield.memory import keep_large_blocks
 from layerfield.pieces import Piece, pieces
@@ -133,6 +134,11 @@ class Problem:
     def back_projected(self) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         """A^T W L: all that a sum link needs to know of the views."""
         return back_projected(self.projection, self.views, self.weights).unsqueeze(-5)
+
+    @property
+    def light_paths(self) -> LightPaths:
+        """From the layers to the views."""
+        return LightPaths(self.projection, self.link, self.views, self.weights)
 
     @cached_property
     def coverage(self) -> Float[Tensor, "layer 1 ly lx"]:

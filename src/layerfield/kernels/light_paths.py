@@ -9,6 +9,7 @@ its derivative by the pixel of layer k; L_i what the view is to show.
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
 from typing import NamedTuple
@@ -73,88 +74,109 @@ class _Law(NamedTuple):
     every: int
 
 
-def serves(projection: Projection, link: Link, views: KeptViews, layers: Tensor) -> bool:
-    """Whether `add_up_` takes these: a sum or a product of pixels, single precision, a processor.
-
-    Light paths go straight (no magnifications), and a subframe is all there is.
-    """
-    return (
-        not is_plain()
-        and type(projection) is Projection
-        and isinstance(link, Additive | Multiplicative)
-        and layers.shape[-5] == 1
-        and layers.device.type == "cpu"
-        and layers.dtype == views.like.dtype == torch.float32
-        and not (torch.is_grad_enabled() and (layers.requires_grad or views.stored.requires_grad))
-    )
-
-
-def add_up_(  # noqa: PLR0913
-    first: Float[Tensor, "*batch 1 chosen c ly lx"],
-    layers: Float[Tensor, "*batch 1 layer c ly lx"],
-    projection: Projection,
-    link: Link,
-    views: KeptViews,
-    weights: Sequence[float],
-    *,
-    shares: Shares = _SLOPE,
-    second: Float[Tensor, "*batch 1 chosen c ly lx"] | None = None,
-    only: int | None = None,
-    error: Float[Tensor, "*batch 1 1 1 1 1"] | None = None,
-    every: int = 1,
-) -> None:
-    """Add what light paths bring to `first` and `second`, in place; see `serves`.
+@dataclass(frozen=True, eq=False)
+class LightPaths:
+    """The paths from the layers of a display to the pixels of its views.
 
     Args:
-        first: a contiguous tensor, for all layers or the only one.
-        layers: P; not looked at where neither a nor o depends on them.
         projection: A.
-        link: a sum or a product.
+        link: of the pixels along a path.
         views: L.
         weights: w, one for every view.
-        shares: a and b; the slope of the error as they are.
-        second: a contiguous tensor, or none to be added to.
-        only: the only layer that anything is added to.
-        error: to which sum_i w_i ||a shown_i + b L_i||^2 is added, of some views.
-        every: how many views there are to one of them.
-
-    Raises:
-        ValueError: layers or sums of other shapes than those of the display and the views.
     """
-    *several, _, channels, _, _ = views.stored.shape
-    begin, end = (0, len(projection.shifts[0])) if only is None else (only, only + 1)
-    size = (channels, *projection.layer_size(views.stored))
-    for planes, number in ((layers, len(projection.shifts[0])), (first, end - begin)):
-        if planes.shape != (*several, 1, number, *size):
-            expected = (*several, 1, number, *size)
-            raise ValueError(f"found layers of shape {tuple(planes.shape)}, expected {expected}")
-    seen, taps, batch = _planes(layers.contiguous()), _taps(projection), math.prod(several)
-    height, rows = views.stored.shape[-2], max(_ROWS, 2 * projection.margin[0] + 1)
-    bands = math.ceil(height / rows)
-    stored = _planes(views.stored.contiguous())
-    table = torch.empty(0) if views.table is None else views.table.contiguous()
-    kept = _Views(stored, table.numpy(), np.asarray(weights, dtype=np.float32))
-    squares = _planes(first)[:0] if second is None else _planes(second.view_as(first))
-    sums = _Sums(_planes(first), squares, np.zeros((batch, channels, bands)))
-    unit = LARGEST[views.stored.dtype] if views.is_whole and views.table is None else 1
-    law = _Law(
-        np.float32(shares.shown),
-        np.float32(shares.light / unit),
-        isinstance(link, Multiplicative),
-        begin,
-        end,
-        0 if error is None else every,
-    )
-    for parity in (0, 1):  # bands side by side add to the same rows of the layers
-        mine = list(product(range(batch), range(channels), range(parity, bands, 2)))
 
-        def task(number: int, mine: list[tuple[int, int, int]] = mine) -> None:
-            _add_band(seen, kept, taps, sums, law, rows, mine[number])
+    projection: Projection
+    link: Link
+    views: KeptViews
+    weights: Sequence[float]
 
-        in_threads(task, len(mine))
-    if error is not None:
-        total = torch.from_numpy(sums.errors.sum(axis=(1, 2))).to(error)
-        error += total.view(error.shape)
+    def serve(self, layers: Tensor) -> bool:
+        """Whether `add_up_` can be called: a sum or a product, single precision, a processor.
+
+        Light paths go straight (no magnifications), and a subframe is all there is.
+        """
+        stored, derivatives = self.views.stored, torch.is_grad_enabled()
+        return (
+            not is_plain()
+            and type(self.projection) is Projection
+            and isinstance(self.link, Additive | Multiplicative)
+            and layers.shape[-5] == 1
+            and layers.device.type == "cpu"
+            and layers.dtype == self.views.like.dtype == torch.float32
+            and not (derivatives and (layers.requires_grad or stored.requires_grad))
+        )
+
+    def add_up_(
+        self,
+        first: Float[Tensor, "*batch 1 chosen c ly lx"],
+        layers: Float[Tensor, "*batch 1 layer c ly lx"],
+        *,
+        shares: Shares = _SLOPE,
+        second: Float[Tensor, "*batch 1 chosen c ly lx"] | None = None,
+        only: int | None = None,
+        error: Float[Tensor, "*batch 1 1 1 1 1"] | None = None,
+        every: int = 1,
+    ) -> None:
+        """Add what they bring to `first` and `second`, in place; see `serve`.
+
+        Args:
+            first: a contiguous tensor, for all layers or the only one.
+            layers: P; not looked at where neither a nor o depends on them.
+            shares: a and b; the slope of the error as they are.
+            second: a contiguous tensor, or none to be added to.
+            only: the only layer that anything is added to.
+            error: to which sum_i w_i ||a shown_i + b L_i||^2 is added, of some views.
+            every: how many views there are to one of them.
+
+        Raises:
+            ValueError: layers or sums of other shapes than those of the display and the views.
+        """
+        number = len(self.projection.shifts[0])
+        begin, end = (0, number) if only is None else (only, only + 1)
+        self._expect(layers, number)
+        self._expect(first, end - begin)
+        batch, channels = math.prod(first.shape[:-5]), first.shape[-3]
+        height, rows = self.views.stored.shape[-2], max(_ROWS, 2 * self.projection.margin[0] + 1)
+        bands = math.ceil(height / rows)
+        seen, taps, views = _planes(layers.contiguous()), _taps(self.projection), self._arrays()
+        squares = _planes(first)[:0] if second is None else _planes(second.view_as(first))
+        sums = _Sums(_planes(first), squares, np.zeros((batch, channels, bands)))
+        law = _Law(
+            np.float32(shares.shown),
+            np.float32(shares.light / self._unit),
+            isinstance(self.link, Multiplicative),
+            begin,
+            end,
+            0 if error is None else every,
+        )
+        for parity in (0, 1):  # bands side by side add to the same rows of the layers
+            mine = list(product(range(batch), range(channels), range(parity, bands, 2)))
+
+            def task(number: int, mine: list[tuple[int, int, int]] = mine) -> None:
+                _add_band(seen, views, taps, sums, law, rows, mine[number])
+
+            in_threads(task, len(mine))
+        if error is not None:
+            error += torch.from_numpy(sums.errors.sum(axis=(1, 2))).to(error).view(error.shape)
+
+    def _expect(self, layers: Tensor, number: int) -> None:
+        """Compiled loops would go past the end of smaller ones."""
+        *batch, _, channels, _, _ = self.views.stored.shape
+        size = self.projection.layer_size(self.views.stored)
+        expected = (*batch, 1, number, channels, *size)
+        if layers.shape != expected:
+            raise ValueError(f"found layers of shape {tuple(layers.shape)}, expected {expected}")
+
+    def _arrays(self) -> _Views:
+        table = torch.empty(0) if self.views.table is None else self.views.table.contiguous()
+        weights = np.asarray(self.weights, dtype=np.float32)
+        return _Views(_planes(self.views.stored.contiguous()), table.numpy(), weights)
+
+    @property
+    def _unit(self) -> int:
+        """What stands for 1 in the views as they are stored; codes of a law are looked up."""
+        looked_up = self.views.table is not None
+        return LARGEST[self.views.stored.dtype] if self.views.is_whole and not looked_up else 1
 
 
 def _planes(layers: Tensor) -> np.ndarray:

@@ -8,7 +8,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.frequencies import multiply
-from layerfield.kernels import light_paths
 from layerfield.solve import Problem
 from layerfield.solvers.fourier_admm import dual_at_bounds
 from layerfield.solvers.fourier_start import FourierStart
@@ -164,11 +163,9 @@ def slope(
     """
     projection, link, result = problem.projection, problem.link, torch.zeros_like(layers)
     norms, every = list[Tensor](), max(1, len(problem.weights) // _TELLING)
-    if light_paths.serves(projection, link, problem.views, layers):
-        passed = problem.views, problem.weights
-        light_paths.add_up_(
-            result, layers, projection, link, *passed, second=curvature, error=error, every=every
-        )
+    paths = problem.light_paths
+    if paths.serve(layers):
+        paths.add_up_(result, layers, second=curvature, error=error, every=every)
         return result
     for alone, piece in problem.pieces():
         seen, slopes = piece.of_layers(layers), piece.of_layers(result)

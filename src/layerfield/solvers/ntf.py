@@ -6,7 +6,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.kernels import light_paths
 from layerfield.kernels.light_paths import Shares
 from layerfield.solve import Problem
 
@@ -48,11 +47,10 @@ def _ratio(
     projection, link = problem.projection, problem.link
     wanted = torch.zeros_like(layers[..., index, :, :, :])
     found = torch.zeros_like(wanted)
-    if light_paths.serves(projection, link, problem.views, layers):
-        passed = layers, projection, link, problem.views, problem.weights
-        sums = wanted.unsqueeze(-4), found.unsqueeze(-4)
-        light_paths.add_up_(sums[0], *passed, shares=Shares(0, 1), only=index)
-        light_paths.add_up_(sums[1], *passed, shares=Shares(1, 0), only=index)
+    paths = problem.light_paths
+    if paths.serve(layers):
+        paths.add_up_(wanted.unsqueeze(-4), layers, shares=Shares(0, 1), only=index)
+        paths.add_up_(found.unsqueeze(-4), layers, shares=Shares(1, 0), only=index)
         return _quotient(wanted, found)
     for alone, piece in problem.pieces():
         seen, over, under = (piece.of_layers(each) for each in (layers, wanted, found))

@@ -6,7 +6,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.kernels import light_paths
 from layerfield.kernels.light_paths import Shares
 from layerfield.solve import Problem
 
@@ -100,8 +99,12 @@ def _normal_equations(
 ) -> tuple[list[Tensor], list[list[Tensor]]]:
     """Return A_k^T W o (L - link(P)), by subframe, and A_k^T W o o^T A_k 1 with its damping."""
     projection, link, count = problem.projection, problem.link, layers.shape[-5]
-    if not link.bend and light_paths.serves(projection, link, problem.views, layers):
-        return _one_pass(problem, layers, index)
+    paths = problem.light_paths
+    if not link.bend and paths.serve(layers):
+        first, second = (torch.zeros_like(layers[..., :1, :, :, :]) for _ in range(2))
+        shares = Shares(shown=-1, light=1)
+        paths.add_up_(first, layers, shares=shares, second=second, only=index)
+        return [first[..., 0, 0, :, :, :]], [[second[..., 0, 0, :, :, :]]]
     empty = layers[..., 0, index, :, :, :]
     slope = [torch.zeros_like(empty) for _ in range(count)]
     curvature = [[torch.zeros_like(empty) for _ in range(s + 1)] for s in range(count)]
@@ -121,23 +124,3 @@ def _normal_equations(
                         damping = residual.abs()
                         projection.scatter_(part, damping, i, index, share * link.bend)
     return slope, [[curvature[max(s, t)][min(s, t)] for t in range(count)] for s in range(count)]
-
-
-def _one_pass(
-    problem: Problem, layers: Tensor, index: int
-) -> tuple[list[Tensor], list[list[Tensor]]]:
-    """Return the same of a single subframe and a link that does not bend."""
-    slope = torch.zeros_like(layers[..., :1, :, :, :])
-    curvature = torch.zeros_like(slope)
-    light_paths.add_up_(
-        slope,
-        layers,
-        problem.projection,
-        problem.link,
-        problem.views,
-        problem.weights,
-        shares=Shares(shown=-1, light=1),
-        second=curvature,
-        only=index,
-    )
-    return [slope[..., 0, 0, :, :, :]], [[curvature[..., 0, 0, :, :, :]]]

@@ -13,7 +13,7 @@ import torch
 from layerfield import Display, Problem
 from layerfield.display_spec import parse_spec
 from layerfield.kept_views import KeptViews
-from layerfield.kernels import compiled
+from layerfield.kernels import compiled, threads
 from layerfield.kernels.compiled import plain
 from layerfield.kernels.threads import in_threads
 from layerfield.solvers import ntf, sweeps
@@ -153,9 +153,15 @@ def test_layers_of_another_size_are_refused():
         slope(problem, layers[..., 1:])
 
 
-@pytest.mark.parametrize("threads", [1, 3])
-def test_every_task_is_done_once(threads):
-    torch.set_num_threads(threads)
+@pytest.fixture(params=["PyTorch's", "our own", "one"])
+def some_threads(request, monkeypatch):
+    torch.set_num_threads(1 if request.param == "one" else 3)
+    if request.param == "our own":
+        monkeypatch.setattr(threads, "_openmp", lambda: None)
+
+
+@pytest.mark.usefixtures("some_threads")
+def test_every_task_is_done_once():
     done: list[int] = []
     in_threads(done.append, 50)
     assert sorted(done) == list(range(50))
@@ -163,9 +169,8 @@ def test_every_task_is_done_once(threads):
     assert len(done) == 50
 
 
-@pytest.mark.parametrize("threads", [1, 3])
-def test_what_a_task_raises_is_raised(threads):
-    torch.set_num_threads(threads)
+@pytest.mark.usefixtures("some_threads")
+def test_what_a_task_raises_is_raised():
     begun: list[int] = []
 
     def task(number: int) -> None:

@@ -1,5 +1,6 @@
-"""Tasks divided among as many threads as PyTorch takes."""
+"""Tasks divided among the threads that PyTorch computes with."""
 
+import ctypes
 import os
 from collections import deque
 from collections.abc import Callable
@@ -8,32 +9,61 @@ from functools import cache
 
 import torch
 
+_Work = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
+_PROCESS = os.getpid()
+
 
 def in_threads(task: Callable[[int], None], count: int) -> None:
     """Call a task with 0 .. count - 1, each once and in no order; return when all are done.
 
     Tasks have to release the interpreter's lock to run side by side. Whoever is free takes the next
-    one, so that a thread whose core others use holds nobody up.
+    one, so that a thread whose core others use holds nobody up. Of an interrupted call, or when a
+    task has raised something, nothing more is begun.
     """
-    left = deque(range(count))
+    left, raised = deque(range(count)), list[BaseException]()
 
-    def work() -> None:
-        while True:
-            try:
-                number = left.popleft()
-            except IndexError:
-                return
-            task(number)
+    def work(_: int | None = None) -> None:
+        try:
+            while True:
+                try:
+                    number = left.popleft()
+                except IndexError:
+                    return
+                task(number)
+        except BaseException as error:
+            left.clear()
+            raised.append(error)
 
-    helpers = min(torch.get_num_threads(), count) - 1
-    waiting = [_pool(os.getpid()).submit(work) for _ in range(helpers)]
-    try:
+    threads = torch.get_num_threads()
+    if min(threads, count) < 2:
         work()
-    finally:
-        left.clear()  # of an interrupted call nothing more is begun
-    for each in waiting:
-        if not each.cancel():
-            each.result()
+    elif (parallel := _openmp()) is not None and os.getpid() == _PROCESS:
+        parallel(_Work(work), None, threads, 0)
+    else:
+        helpers = [_pool(os.getpid()).submit(work) for _ in range(min(threads, count) - 1)]
+        work()
+        for each in helpers:
+            if not each.cancel():
+                each.result()
+    if raised:
+        raise raised[0]
+
+
+@cache
+def _openmp() -> Callable[..., None] | None:
+    """Return what makes PyTorch's threads call a function, or None where they are not GNU OpenMP's.
+
+    Threads of OpenMP that have nothing to do go round and round for a while, for the next loop to
+    find them awake. Others beside them would have to share their cores: a pass over layers took two
+    or three times as long behind one of PyTorch's.
+    """
+    try:
+        parallel = ctypes.CDLL(None).GOMP_parallel
+    except (AttributeError, OSError, TypeError):
+        return None
+    parallel.argtypes = (_Work, ctypes.c_void_p, ctypes.c_uint, ctypes.c_uint)
+    parallel.restype = None
+    return parallel
 
 
 @cache

@@ -7,7 +7,6 @@ import torch
 
 from layerfield import DisparitySpec, Display, procedural_light_field, solve
 from layerfield.back_projection import back_projected
-from layerfield.frequencies import to_pixels
 from layerfield.kept_views import KeptViews
 from layerfield.panels import quantise
 from layerfield.pieces import Piece, pieces
@@ -94,13 +93,3 @@ def test_small_pictures_and_other_devices_are_one_piece(small):
     small()
     elsewhere = KeptViews(posed.views.stored.to("meta"))
     assert len(list(pieces(posed.projection, elsewhere))) == 1
-
-
-@pytest.mark.parametrize("size", [(6, 8), (9, 14), (1, 2), (10, 1), (7, 9)])
-def test_planes_of_any_size_come_back(monkeypatch, size):
-    monkeypatch.setattr("layerfield.frequencies._LARGE", 0)
-    planes = torch.rand(2, 3, *size, generator=torch.Generator().manual_seed(1))
-    for largest in (1 << 21, 0):
-        monkeypatch.setattr("layerfield.frequencies._LARGEST", largest)
-        back = to_pixels(torch.fft.rfft2(planes), size)
-        torch.testing.assert_close(back, planes, rtol=0, atol=1e-6)

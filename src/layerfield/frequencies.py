@@ -10,9 +10,9 @@ import torch
 from jaxtyping import Complex, Float, Inexact
 from torch import Tensor
 
+from layerfield.kernels import spectra
+
 _MOST_KEPT = 1 << 31  # bytes of the resolvents of a display: those of `fast` up to 8 megapixels
-_LARGE = 1 << 14  # frequencies of a plane from which on it is transformed by itself,
-_LARGEST = 1 << 21  # and as one of half as many complex pixels
 
 Matrix = tuple[tuple[Tensor, ...], ...]
 """Entries as `multiply` takes them: one small matrix for every frequency; see `interleaved`."""
@@ -55,19 +55,53 @@ class Spectral:
         """Return the planes of a spectrum."""
         if self.by_row:
             return torch.fft.irfft(spectrum, n=self.torus[1])
-        return to_pixels(spectrum, self.torus)
+        if spectra.serve(spectrum) and self.torus[1] % 2 == 0:
+            return spectra.to_pixels(spectrum)
+        return torch.fft.irfft2(spectrum, s=self.torus)
 
-    def resolvent(self, penalty: float, balance: float, gain: float = 1.0) -> Matrix:
-        """Return g rho (G + rho I)^-1 for `multiply`, rho = penalty times the weight of all views.
-
-        Computed once for a penalty: it depends on the display alone.
+    def solved_pixels(
+        self,
+        planes: Float[Tensor, "*batch layer c ty tx"],
+        penalty: float,
+        balance: float,
+        gain: float = 1.0,
+    ) -> Float[Tensor, "*batch layer c ty tx"]:
+        """Return g rho (G + rho I)^-1 of planes, rho = penalty times the weight of all views.
 
         Args:
+            planes: may be written on.
             penalty: share of the weight.
             balance: share of it, too: of b (I - 1/K), which is added to G at frequency zero; not
                 of rows by themselves, whose light is where their own bounds want it.
             gain: g.
         """
+        if self.by_row or self.torus[1] % 2 or not self._serves(planes):
+            spectrum = self.to_frequencies(planes)
+            return self.to_pixels(self.solved_frequencies(spectrum, penalty, balance, gain))
+        return spectra.resolved_(planes, self.symbol, self._terms(penalty, balance, gain))
+
+    def solved_frequencies(
+        self,
+        spectrum: Complex[Tensor, "*batch layer c fy fx"],
+        penalty: float,
+        balance: float,
+        gain: float = 1.0,
+    ) -> Complex[Tensor, "*batch layer c fy fx"]:
+        """Return the same of the spectrum of planes, which may be written on."""
+        if not self._serves(spectrum):
+            return multiply(self._resolvent(penalty, balance, gain), spectrum)
+        spectra.resolve_(spectrum, self.symbol, self._terms(penalty, balance, gain))
+        return spectrum
+
+    def _serves(self, values: Tensor) -> bool:
+        return spectra.serve(values) and self.symbol.dtype == torch.float32
+
+    def _terms(self, penalty: float, balance: float, gain: float) -> spectra.Terms:
+        pull = 0 if self.by_row else balance * self.weight
+        return spectra.Terms(penalty * self.weight, pull, gain * penalty * self.weight)
+
+    def _resolvent(self, penalty: float, balance: float, gain: float) -> Matrix:
+        """Computed once for a penalty: it depends on the display alone."""
         key = (penalty, balance, gain)
         if key not in self._kept:
             found = resolvent(self, penalty, balance, gain)
@@ -104,7 +138,7 @@ class Spectral:
 
 
 def resolvent(spectral: Spectral, penalty: float, balance: float, gain: float = 1.0) -> Matrix:
-    """Return what `Spectral.resolvent` keeps."""
+    """Return g rho (G + rho I)^-1 for `multiply`; arguments as of `Spectral.solved_pixels`."""
     rho, matrix = penalty * spectral.weight, spectral.symbol.clone()
     identity = torch.eye(len(matrix), dtype=matrix.dtype, device=matrix.device)
     matrix += rho * identity[:, :, None, None]
@@ -165,53 +199,6 @@ def _low_blocks(
         ((..., up, across), (..., up, across)),
         ((..., below, across), (..., slice(height - down, None), across)),
     ]
-
-
-def to_pixels(
-    spectrum: Complex[Tensor, "*batch c fy fx"], torus: tuple[int, int]
-) -> Float[Tensor, "*batch c ty tx"]:
-    """Return the planes that `rfft2` makes this spectrum of.
-
-    On a processor large planes go one after the other: what is between the transforms along both
-    directions stays in its cache, which takes an eighth to a fifth less time. The largest do not
-    fit there; see `_in_pairs`.
-    """
-    frequencies = spectrum.shape[-2:].numel()
-    if spectrum.device.type != "cpu" or spectrum.requires_grad or frequencies < _LARGE:
-        return torch.fft.irfft2(spectrum, s=torus)
-    result = torch.empty(*spectrum.shape[:-2], *torus, dtype=spectrum.real.dtype)
-    in_pairs = frequencies >= _LARGEST and torus[1] % 2 == 0
-    planes = result.flatten(end_dim=-3)
-    for plane, each in zip(planes, spectrum.flatten(end_dim=-3), strict=True):
-        if in_pairs:
-            torch.fft.ifft2(_in_pairs(each, torus[1]), out=_paired(plane))
-        else:
-            torch.fft.irfft2(each, s=torus, out=plane)
-    return result
-
-
-def _in_pairs(spectrum: Complex[Tensor, "fy fx"], width: int) -> Complex[Tensor, "fy half"]:
-    """Return the spectrum of a plane whose neighbours along x are taken for one complex pixel.
-
-    With E and O, the spectra of even and odd columns, it is
-
-        E + i O = a X(f) + (1 - a) conj X(-fy, width / 2 - fx)
-        a = (1 + i exp(2 pi i fx / width)) / 2
-
-    PyTorch's complex transform does both directions at once, its real one direction by direction,
-    which where planes fit into no cache takes twice the time of all this.
-    """
-    angle = torch.arange(width // 2, dtype=torch.float64) * (2 * torch.pi / width)
-    a = ((1 + 1j * torch.exp(1j * angle)) / 2).to(spectrum)
-    opposite = spectrum[:, 1:].flip((-2, -1)).conj_physical_()  # row n is that of -1 - n
-    result = torch.empty_like(opposite)
-    torch.lerp(opposite[-1], spectrum[0, :-1], a, out=result[0])
-    torch.lerp(opposite[:-1], spectrum[1:, :-1], a, out=result[1:])
-    return result
-
-
-def _paired(plane: Float[Tensor, "ty tx"]) -> Complex[Tensor, "ty half"]:
-    return torch.view_as_complex(plane.unflatten(-1, (-1, 2)))
 
 
 def _size(matrix: Matrix) -> int:

@@ -6,7 +6,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.frequencies import Matrix, multiply
 from layerfield.solve import Problem
 
 
@@ -16,13 +15,11 @@ class AdmmState:
 
     Args:
         shadow: s = z + u.
-        resolvent: 2 rho (G + rho I)^-1, as `multiply` wants it.
-        rho: the penalty.
+        penalty: rho as a share of the sum of view weights.
     """
 
     shadow: Float[Tensor, "*batch 1 layer c ty tx"]
-    resolvent: Matrix
-    rho: float
+    penalty: float
 
 
 @dataclass(frozen=True)
@@ -56,18 +53,16 @@ class FourierAdmm:
         if isinstance(start, AdmmState):
             return start
         penalty = self.penalty if start is None else self.warm_penalty
-        rho = sum(problem.weights) * penalty
         shadow = problem.gram.to_torus(problem.even_start() if start is None else start)
         if start is not None:
-            shadow = shadow + _dual(problem, shadow, rho)
-        resolvent = problem.gram.spectral.resolvent(penalty, self.balance, gain=2)
-        return AdmmState(shadow, resolvent, rho)
+            shadow = shadow + _dual(problem, shadow, sum(problem.weights) * penalty)
+        return AdmmState(shadow, penalty)
 
     def step(self, problem: Problem, state: AdmmState) -> AdmmState:
         iterate = state.shadow.clamp(*problem.bounds)
         moved = self._solved(problem, state, iterate).sub_(iterate)
         shadow = torch.add(state.shadow, moved, alpha=self.relaxation, out=moved)
-        return AdmmState(shadow, state.resolvent, state.rho)
+        return AdmmState(shadow, state.penalty)
 
     def unbounded(
         self, problem: Problem, state: AdmmState
@@ -77,13 +72,12 @@ class FourierAdmm:
         return problem.gram.from_torus(self._solved(problem, state, iterate))
 
     def _solved(self, problem: Problem, state: AdmmState, iterate: Tensor) -> Tensor:
-        gram, share = problem.gram, 1 / (2 * state.rho)
+        gram, share = problem.gram, 1 / (2 * sum(problem.weights) * state.penalty)
         # A^T W L + rho (z - u) + band, all over 2 rho; z - u = 2 z - s
         right = torch.sub(iterate, state.shadow, alpha=0.5)
         gram.from_torus(right).add_(problem.back_projected, alpha=share)
         gram.add_band_(right, iterate, share)
-        spectral = gram.spectral
-        return spectral.to_pixels(multiply(state.resolvent, spectral.to_frequencies(right)))
+        return gram.spectral.solved_pixels(right, state.penalty, self.balance, gain=2)
 
     def layers(self, problem: Problem, state: AdmmState) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         return problem.gram.from_torus(state.shadow).clamp(*problem.bounds)

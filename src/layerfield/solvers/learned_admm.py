@@ -10,7 +10,6 @@ from torch import Tensor
 from layerfield.frequencies import (
     Spectral,
     low_part,
-    multiply,
     replace_low_part_,
 )
 from layerfield.solve import Problem
@@ -135,8 +134,9 @@ class LearnedAdmm:
         add_completed_(problem, data, shadow.clamp(*problem.bounds))
         seen = spectral.to_frequencies(data)
         # z + a (x - z) with z = share b, u = 0
-        forward = spectral.resolvent(constants.penalty, BALANCE, gain=a * (1 / rho + share))
-        spectrum = multiply(forward, seen).add_(seen, alpha=(1 - a) * share)
+        gain = a * (1 / rho + share)
+        spectrum = spectral.solved_frequencies(seen.clone(), constants.penalty, BALANCE, gain)
+        spectrum.add_(seen, alpha=(1 - a) * share)
         coarser = coarse_grid(spectral)
         if coarser is not None and self.coarse:
             solved = self._solved_coarsely(coarser, low_part(seen, coarser), problem.bounds)
@@ -200,8 +200,7 @@ def _moved(
     """Return s after a step, from z - trust u + b / rho."""
     a, kept = constants.relaxation, constants.kept
     momentum = 0.0 if before is None else constants.momentum
-    resolvent = spectral.resolvent(constants.penalty, BALANCE, gain=a)
-    moved = spectral.to_pixels(multiply(resolvent, spectral.to_frequencies(right)))
+    moved = spectral.solved_pixels(right, constants.penalty, BALANCE, gain=a)
     # a x + (1 - a) z + kept (s - z) + momentum (s - s of one step ago)
     moved.add_(iterate, alpha=1 - a - kept).add_(shadow, alpha=kept + momentum)
     return moved if before is None else moved.sub_(before, alpha=momentum)

@@ -7,7 +7,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.frequencies import multiply
 from layerfield.solve import Problem
 from layerfield.solvers.fourier_admm import dual_at_bounds
 from layerfield.solvers.fourier_start import FourierStart
@@ -92,10 +91,11 @@ class NewtonAdmm:
             dual *= (state.scale / scale).square_()  # of the same force, rho D^2 u
         # (D^-1 g + rho trust D u) / rho, and rho (G + rho I)^-1 of it
         right = found.div_(scale).div_(rho).addcmul_(dual, scale, value=known.trust)
-        resolvent = spectral.resolvent(known.penalty, BALANCE, gain=-known.relaxation)
-        spectrum = multiply(resolvent, spectral.to_frequencies(problem.gram.to_torus(right)))
+        solved = spectral.solved_pixels(
+            problem.gram.to_torus(right), known.penalty, BALANCE, gain=-known.relaxation
+        )
         boldness = _boldness(state, error)
-        moved = problem.gram.from_torus(spectral.to_pixels(spectrum)) / scale
+        moved = problem.gram.from_torus(solved) / scale
         if state.before is not None:
             moved.add_(state.shadow - state.before, alpha=known.momentum)
         moved.mul_(boldness).add_(iterate).add_(dual, alpha=known.kept)

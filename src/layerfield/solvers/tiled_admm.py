@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.frequencies import Matrix, Spectral, multiply
+from layerfield.frequencies import Spectral
 from layerfield.gram import fast_length, spectral_of
 from layerfield.solve import Problem
 from layerfield.solvers.fourier_admm import AdmmState, FourierAdmm, dual_at_bounds
@@ -42,7 +42,7 @@ class Span:
 
 @dataclass(frozen=True, eq=False)
 class TiledState(AdmmState):
-    """Iterate and dual on the torus of the whole picture; the resolvent is that of a tile.
+    """Iterate and dual on the torus of the whole picture.
 
     Args:
         tile: its frequencies.
@@ -82,21 +82,24 @@ class TiledAdmm(FourierAdmm):
             return start
         penalty = self.penalty if start is None else self.warm_penalty
         gram, weights = problem.gram, problem.weights
-        rho, whole = penalty * sum(weights), gram.torus
+        whole = gram.torus
         size = (_tile_length(whole[0], self.size), _tile_length(whole[1], self.size))
         tile = spectral_of(gram.projection, weights, size, problem.views.like)
-        resolvent = tile.resolvent(penalty, balance=0, gain=2)
         reach = [
-            0 if size[axis] == whole[axis] else _reach(tile, resolvent, axis, self.rest)
+            0 if size[axis] == whole[axis] else _reach(tile, penalty, axis, self.rest)
             for axis in range(2)
         ]
         rows, columns = map(_spans, whole, size, reach)
-        shadow = problem.even_start() if start is None else start + _dual(problem, start, rho)
-        return TiledState(gram.to_torus(shadow), resolvent, rho, tile, rows, columns)
+        if start is None:
+            shadow = problem.even_start()
+        else:
+            shadow = start + _dual(problem, start, penalty * sum(weights))
+        return TiledState(gram.to_torus(shadow), penalty, tile, rows, columns)
 
     def step(self, problem: Problem, state: AdmmState) -> AdmmState:
         assert isinstance(state, TiledState)
-        share, result = 1 / (2 * state.rho), state.shadow.clamp(*problem.bounds)
+        share = 1 / (2 * state.penalty * sum(problem.weights))
+        result = state.shadow.clamp(*problem.bounds)
         right = torch.sub(result, state.shadow, alpha=0.5)
         problem.gram.from_torus(right).add_(problem.back_projected, alpha=share)
         problem.gram.add_band_(right, result, share)
@@ -105,8 +108,7 @@ class TiledAdmm(FourierAdmm):
             strip = rows.read(right, -2)
             for columns in state.columns:
                 part = columns.read(strip, -1)
-                spectrum = multiply(state.resolvent, state.tile.to_frequencies(part))
-                solved = state.tile.to_pixels(spectrum)
+                solved = state.tile.solved_pixels(part, state.penalty, balance=0, gain=2)
                 moved = solved[..., rows.inner, columns.inner] + shift
                 iterate = result[..., rows.core, columns.core]
                 before = state.shadow[..., rows.core, columns.core]
@@ -121,9 +123,9 @@ class TiledAdmm(FourierAdmm):
 
     def _balancing(self, problem: Problem, state: TiledState, right: Tensor) -> Tensor:
         """What the term for balance, at frequency zero of the whole torus, adds to a solution."""
-        pull = 0 if state.tile.by_row else self.balance * sum(problem.weights)
+        pull = 0 if state.tile.by_row else self.balance
         mean = right.mean(dim=(-2, -1), keepdim=True)
-        return (mean - mean.mean(dim=-4, keepdim=True)) * (-2 * pull / (state.rho + pull))
+        return (mean - mean.mean(dim=-4, keepdim=True)) * (-2 * pull / (state.penalty + pull))
 
 
 def _dual(problem: Problem, layers: Tensor, rho: float) -> Tensor:
@@ -140,13 +142,13 @@ def _tile_length(length: int, size: int) -> int:
     return next(n for n in range(size - size % 2, 0, -2) if fast_length(n) == n)
 
 
-def _reach(tile: Spectral, resolvent: Matrix, axis: int, rest: float) -> int:
+def _reach(tile: Spectral, penalty: float, axis: int, rest: float) -> int:
     """Return how far the kernel of a resolvent reaches along an axis, but for the rest of it."""
-    like = resolvent[0][0]
-    layers = torch.eye(len(resolvent), dtype=like.dtype.to_complex(), device=like.device)
+    like = tile.symbol
+    layers = torch.eye(len(like), dtype=like.dtype.to_complex(), device=like.device)
     # one impulse a layer, their spectrum
-    impulses = layers[..., None, None, None].repeat(1, 1, 1, *tile.symbol.shape[-2:])
-    answers = multiply(resolvent, impulses)[:, :, 0]
+    impulses = layers[..., None, None, None].repeat(1, 1, 1, *like.shape[-2:])
+    answers = tile.solved_frequencies(impulses, penalty, balance=0)[:, :, 0]
     kernel = tile.to_pixels(answers).abs().sum(dim=1).amax(dim=0)
     along = kernel.sum(dim=1 - axis).double().cpu()
     places = torch.arange(len(along))

@@ -4,21 +4,28 @@ View pixels of the torus that the mask M leaves out are a band: rows below the v
 torus joins to what is above them, and columns on their right. Layers are `[..., layer, c, *torus]`.
 """
 
+import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol, runtime_checkable
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from layerfield.kernels import strips
+from layerfield.kernels.strips import Filters
 from layerfield.projection import Projection, taps_of
 
 Size = tuple[int, int]
 Span = tuple[int, int]  # from, to; may run on past the end of the torus, at most once around
 Kernel = tuple[tuple[int, float], ...]  # offsets in pixels, and weights
+Bounds = tuple[float, float]
+
+ANY = (-math.inf, math.inf)
 
 
 @runtime_checkable
@@ -26,9 +33,13 @@ class Band(Protocol):
     """The band of a projection, views of one size and a torus."""
 
     def add_(
-        self, result: Float[Tensor, "*batch layer c ty tx"], layers: Tensor, factor: float
+        self,
+        result: Float[Tensor, "*batch layer c ty tx"],
+        layers: Tensor,
+        factor: float,
+        bounds: Bounds = ANY,
     ) -> None:
-        """Add a multiple of A^T (1 - M) W A layers, in place."""
+        """Add a multiple of A^T (1 - M) W A of layers clamped to bounds, in place."""
         ...
 
 
@@ -68,12 +79,16 @@ class ViewsBand:
         ]
 
     def add_(
-        self, result: Float[Tensor, "*batch layer c ty tx"], layers: Tensor, factor: float
+        self,
+        result: Float[Tensor, "*batch layer c ty tx"],
+        layers: Tensor,
+        factor: float,
+        bounds: Bounds = ANY,
     ) -> None:
-        """Add a multiple of A^T (1 - M) W A layers, in place."""
+        """Add a multiple of A^T (1 - M) W A of layers clamped to bounds, in place."""
         weights = [weight * factor for weight in self.weights]
         for rows, columns in self._strips:
-            strip = _cut(_cut(layers, rows, -2), columns, -1)
+            strip = _cut(_cut(layers, rows, -2), columns, -1).clamp(*bounds)
             part = torch.zeros_like(strip)
             self.projection.add_normal_(part, strip, weights)
             for there, here in _wrapped(columns, self.torus[1]):
@@ -106,6 +121,19 @@ class Axis:
         """`[to layer][from layer]` -> Y^T Y of all pixels: which ones to add up, relative."""
         layers = range(len(self.shifts[0]))
         return [[self._filter(to, come) for come in layers] for to in layers]
+
+    @cached_property
+    def taps(self) -> Filters:
+        """The same as arrays."""
+        count = range(len(self.filters))
+        most = max(len(self.filters[to][come]) for to in count for come in count)
+        offset = np.zeros((len(count), len(count), most), dtype=np.int64)
+        weight = np.zeros(offset.shape, dtype=np.float32)
+        for to in count:
+            for come in count:
+                for tap, known in enumerate(self.filters[to][come]):
+                    offset[to, come, tap], weight[to, come, tap] = known
+        return Filters(offset, weight)
 
     def _filter(self, to: int, come: int) -> Kernel:
         found: dict[int, float] = defaultdict(float)
@@ -151,12 +179,17 @@ class GridBand:
         self._kept: dict[tuple[torch.dtype, torch.device], tuple[Tensor, Tensor]] = {}
 
     def add_(
-        self, result: Float[Tensor, "*batch layer c ty tx"], layers: Tensor, factor: float
+        self,
+        result: Float[Tensor, "*batch layer c ty tx"],
+        layers: Tensor,
+        factor: float,
+        bounds: Bounds = ANY,
     ) -> None:
-        """Add a multiple of A^T (1 - M) W A layers, in place."""
+        """Add a multiple of A^T (1 - M) W A of layers clamped to bounds, in place."""
         factor *= self._weight
         (down, across), (by_row, by_column) = self._axes, self._matrices(layers)
-        rows, columns = _cut(layers, down.span, -2), _cut(layers, across.span, -1)
+        rows = _cut(layers, down.span, -2).clamp(*bounds)
+        columns = _cut(layers, across.span, -1).clamp(*bounds)
         corner = _cut(rows, across.span, -1)
         both = torch.einsum("lkab,...kcbd->...lkcad", by_row, corner)
         below = _strip(rows, by_row, across)
@@ -181,6 +214,8 @@ def _strip(
     axis: Axis,
 ) -> Float[Tensor, "*batch layer c n along"]:
     """Return what a strip comes to: matrices across it, the filters of an axis along it."""
+    if strips.serve(strip):
+        return strips.across_and_along(strip, matrices, axis.taps)
     count, thick, length = len(matrices), strip.shape[-2], strip.shape[-1]
     reach = 2 * axis.margin
     around = torch.cat([strip[..., length - reach :], strip, strip[..., :reach]], dim=-1)

@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.band import band_of
+from layerfield.band import ANY, Bounds, band_of
 from layerfield.frequencies import Spectral, interleaved, multiply
 from layerfield.projection import Projection
 
@@ -100,9 +100,11 @@ class Gram:
         self.add_band_(result, layers)
         return result
 
-    def add_band_(self, result: Tensor, layers: Tensor, factor: float = 1.0) -> None:
-        """Add a multiple of the band of `layers` to `result`, at the cost of the band alone."""
-        self._band.add_(result, layers, factor)
+    def add_band_(
+        self, result: Tensor, layers: Tensor, factor: float = 1.0, bounds: Bounds = ANY
+    ) -> None:
+        """Add a multiple of the band of `layers`, clamped, at the cost of the band alone."""
+        self._band.add_(result, layers, factor, bounds)
 
     def __call__(
         self, layers: Float[Tensor, "*batch layer c ty tx"]

@@ -9,7 +9,6 @@ one pixel. With E and O, the spectra of its even and of its odd columns,
 X, the spectrum of the plane, follows from Z at opposite frequencies, and Z from X.
 """
 
-import math
 from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
@@ -20,9 +19,8 @@ from jaxtyping import Complex, Float
 from torch import Tensor
 
 from layerfield.kernels.compiled import compiled, is_plain
-from layerfield.kernels.threads import in_threads
+from layerfield.kernels.threads import in_spans
 
-_ROWS = 8  # of a band; or pairs of them
 _HALF = np.float32(0.5)
 _LARGE = 1 << 17  # complex pixels of a plane from which on it is transformed by itself
 
@@ -60,8 +58,12 @@ def to_pixels(spectrum: Complex[Tensor, "*batch fy fx"]) -> Float[Tensor, "*batc
     """Return the planes of an even width with this spectrum, as `irfft2` does."""
     half = spectrum.shape[-1] - 1
     pairs = torch.empty(*spectrum.shape[:-1], half, dtype=spectrum.dtype)
-    seen = _numbers(spectrum.contiguous())
-    _by_pairs_of_rows(_unite_band, seen, _numbers(pairs), _turns(2 * half))
+    seen, made, turns = _numbers(spectrum.contiguous()), _numbers(pairs), _turns(2 * half)
+
+    def task(begin: int, end: int) -> None:
+        _unite_pairs_of_rows(seen, made, turns, begin, end)
+
+    in_spans(task, spectrum.shape[-2] // 2 + 1, seen.size)
     return torch.view_as_real(_transformed_(torch.fft.ifft2, pairs)).flatten(-2)
 
 
@@ -82,11 +84,7 @@ def resolve_(
     seen, matrices = _numbers(spectrum, number, channels), symbol.numpy()
     known = _Terms(*map(np.float32, terms))
 
-    def task(band: int) -> None:
-        rows = band * _ROWS, min(height, (band + 1) * _ROWS)
-        _resolve_band(seen, matrices, known, rows)
-
-    in_threads(task, math.ceil(height / _ROWS))
+    in_spans(lambda begin, end: _resolve_rows(seen, matrices, known, begin, end), height, seen.size)
 
 
 def resolved_(
@@ -103,7 +101,12 @@ def resolved_(
     pairs = _transformed_(torch.fft.fft2, _pairs(planes))
     known = _Terms(*map(np.float32, terms))
     seen = _numbers(pairs, number, channels)
-    _by_pairs_of_rows(_resolve_band_of_pairs, seen, symbol.numpy(), _turns(width), known)
+    matrices, turns = symbol.numpy(), _turns(width)
+
+    def task(begin: int, end: int) -> None:
+        _resolve_pairs_of_rows(seen, matrices, turns, known, begin, end)
+
+    in_spans(task, height // 2 + 1, seen.size)
     return torch.view_as_real(_transformed_(torch.fft.ifft2, pairs)).flatten(-2)
 
 
@@ -115,16 +118,6 @@ def _expect(symbol: Tensor, number: int, height: int, columns: int) -> None:
         raise ValueError(f"found matrices of shape {tuple(symbol.shape)}, expected {expected}")
 
 
-def _by_pairs_of_rows(band: Callable[..., None], seen: np.ndarray, *others: object) -> None:
-    """Call for rows 0 .. H / 2, each of which comes with that of the opposite frequencies."""
-    count = seen.shape[-2] // 2 + 1
-
-    def task(number: int) -> None:
-        band(seen, *others, (number * _ROWS, min(count, (number + 1) * _ROWS)))
-
-    in_threads(task, math.ceil(count / _ROWS))
-
-
 def _pairs(planes: Tensor) -> Tensor:
     return torch.view_as_complex(planes.contiguous().unflatten(-1, (-1, 2)))
 
@@ -132,7 +125,7 @@ def _pairs(planes: Tensor) -> Tensor:
 def _transformed_(transform: Callable[..., Tensor], values: Tensor) -> Tensor:
     """Large planes are written on, one by one: each stays in the cache for both directions."""
     if values.shape[-2:].numel() < _LARGE:
-        return transform(values)
+        return transform(values).contiguous()
     for plane in values.flatten(end_dim=-3):
         plane.copy_(transform(plane))
     return values
@@ -151,13 +144,13 @@ def _turns(width: int) -> _Turns:
 
 
 @compiled
-def _unite_band(spectrum, pairs, turns, rows):
-    """Find Z from X."""
+def _unite_pairs_of_rows(spectrum, pairs, turns, begin, end):
+    """Find Z from X, of rows and of those of the opposite frequencies."""
     items, height, twice = pairs.shape
     here, there = np.zeros((2, twice // 2), pairs.dtype), np.zeros((2, twice // 2), pairs.dtype)
     value = np.zeros((4, twice // 2), pairs.dtype)
     for item in range(items):
-        for y in range(rows[0], rows[1]):
+        for y in range(begin, end):
             other = spectrum[item, (height - y) % height]
             _split(spectrum[item, y], value[0], value[1])
             _split_back(other, value[2], value[3])
@@ -169,14 +162,14 @@ def _unite_band(spectrum, pairs, turns, rows):
 
 
 @compiled
-def _resolve_band(spectrum, symbol, terms, rows):
+def _resolve_rows(spectrum, symbol, terms, begin, end):
     items, number, channels, _, twice = spectrum.shape
     width = twice // 2
     matrix = np.zeros((number, number, width), spectrum.dtype)
     seen = np.zeros((2, number, width), spectrum.dtype)
     value = np.zeros((2, width), spectrum.dtype)
-    for y in range(rows[0], rows[1]):
-        if y == rows[0] or symbol.shape[2] > 1:
+    for y in range(begin, end):
+        if y == begin or symbol.shape[2] > 1:
             for k in range(number):
                 for m in range(k, number):
                     _read(matrix[k, m], symbol[k, m, min(y, symbol.shape[2] - 1)])
@@ -192,7 +185,7 @@ def _resolve_band(spectrum, symbol, terms, rows):
 
 
 @compiled
-def _resolve_band_of_pairs(spectrum, symbol, turns, terms, rows):
+def _resolve_pairs_of_rows(spectrum, symbol, turns, terms, begin, end):
     """Row y and that of the opposite frequencies say all of X at both."""
     items, number, channels, height, twice = spectrum.shape
     half = twice // 2
@@ -202,7 +195,7 @@ def _resolve_band_of_pairs(spectrum, symbol, turns, terms, rows):
     there = np.zeros((2, half), spectrum.dtype)  # of opposite frequencies
     seen = np.zeros((4, number, half), spectrum.dtype)  # X at fx, and at fx + W / 2
     value = np.zeros((4, half), spectrum.dtype)
-    for y in range(rows[0], rows[1]):
+    for y in range(begin, end):
         opposite = (height - y) % height
         for k in range(number):
             for m in range(k, number):

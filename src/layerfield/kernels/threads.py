@@ -1,6 +1,7 @@
 """Tasks divided among the threads that PyTorch computes with."""
 
 import ctypes
+import math
 import os
 from collections import deque
 from collections.abc import Callable
@@ -11,6 +12,8 @@ import torch
 
 _Work = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 _PROCESS = os.getpid()
+_SPANS = 4  # for every thread: who is held up by others leaves some
+_FEW = 1 << 18
 
 
 def in_threads(task: Callable[[int], None], count: int) -> None:
@@ -47,6 +50,26 @@ def in_threads(task: Callable[[int], None], count: int) -> None:
                 each.result()
     if raised:
         raise raised[0]
+
+
+def in_spans(task: Callable[[int, int], None], count: int, numbers: int) -> None:
+    """Call a task with spans, from and to, that come to 0 .. count; a few for every thread.
+
+    What it does for one of them must not depend on how they were divided.
+
+    Args:
+        task: as that of `in_threads`.
+        count: of what is divided.
+        numbers: that are gone over in all. Where they are few, threads cost more than they bring.
+    """
+    if numbers < _FEW:
+        return task(0, count)
+    length = max(1, math.ceil(count / (_SPANS * torch.get_num_threads())))
+
+    def span(number: int) -> None:
+        task(number * length, min(count, (number + 1) * length))
+
+    return in_threads(span, math.ceil(count / length))
 
 
 @cache

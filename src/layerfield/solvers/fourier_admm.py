@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from layerfield.kernels.blends import Shares, blended
 from layerfield.solve import Problem
 
 
@@ -59,28 +60,33 @@ class FourierAdmm:
         return AdmmState(shadow, penalty)
 
     def step(self, problem: Problem, state: AdmmState) -> AdmmState:
-        iterate = state.shadow.clamp(*problem.bounds)
-        moved = self._solved(problem, state, iterate).sub_(iterate)
-        shadow = torch.add(state.shadow, moved, alpha=self.relaxation, out=moved)
-        return AdmmState(shadow, state.penalty)
+        moved = self._solved(problem, state, self.relaxation)
+        shares = Shares(-self.relaxation, 1)  # s + a (x - z)
+        return AdmmState(blended(shares, state.shadow, problem.bounds, onto=moved), state.penalty)
 
     def unbounded(
         self, problem: Problem, state: AdmmState
     ) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         """Return x of the next iteration, before the box: it holds the best dual certificate."""
-        iterate = state.shadow.clamp(*problem.bounds)
-        return problem.gram.from_torus(self._solved(problem, state, iterate))
+        return problem.gram.from_torus(self._solved(problem, state))
 
-    def _solved(self, problem: Problem, state: AdmmState, iterate: Tensor) -> Tensor:
-        gram, share = problem.gram, 1 / (2 * sum(problem.weights) * state.penalty)
-        # A^T W L + rho (z - u) + band, all over 2 rho; z - u = 2 z - s
-        right = torch.sub(iterate, state.shadow, alpha=0.5)
-        gram.from_torus(right).add_(problem.back_projected, alpha=share)
-        gram.add_band_(right, iterate, share)
-        return gram.spectral.solved_pixels(right, state.penalty, self.balance, gain=2)
+    def _solved(self, problem: Problem, state: AdmmState, gain: float = 1.0) -> Tensor:
+        rho = sum(problem.weights) * state.penalty
+        # z - u + b / rho, z - u = 2 z - s
+        right = right_hand_side(problem, state.shadow, Shares(2, -1, 1 / rho))
+        return problem.gram.spectral.solved_pixels(right, state.penalty, self.balance, gain)
 
     def layers(self, problem: Problem, state: AdmmState) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         return problem.gram.from_torus(state.shadow).clamp(*problem.bounds)
+
+
+def right_hand_side(
+    problem: Problem, shadow: Float[Tensor, "*batch 1 layer c ty tx"], shares: Shares
+) -> Float[Tensor, "*batch 1 layer c ty tx"]:
+    """Return shares of z, s and b: A^T W L, and around the views what layers show there."""
+    right = blended(shares, shadow, problem.bounds, problem.back_projected)
+    problem.gram.add_band_(right, shadow, shares.other, problem.bounds)
+    return right
 
 
 def _dual(problem: Problem, iterate: Tensor, rho: float) -> Tensor:

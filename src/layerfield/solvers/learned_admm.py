@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -12,8 +11,9 @@ from layerfield.frequencies import (
     low_part,
     replace_low_part_,
 )
+from layerfield.kernels.blends import Shares, blended
 from layerfield.solve import Problem
-from layerfield.solvers.fourier_admm import AdmmState, FourierAdmm
+from layerfield.solvers.fourier_admm import AdmmState, FourierAdmm, right_hand_side
 
 COARSE = 4  # times larger are the pixels of the coarse steps
 BALANCE = 0.003  # as of the direct solver
@@ -130,9 +130,7 @@ class LearnedAdmm:
         constants, spectral = self.full[0].among(problem.layer_count), problem.gram.spectral
         share = 1 / (spectral.weight * len(spectral.symbol))
         a, rho = constants.relaxation, constants.penalty * spectral.weight
-        data = torch.zeros_like(shadow)
-        add_completed_(problem, data, shadow.clamp(*problem.bounds))
-        seen = spectral.to_frequencies(data)
+        seen = spectral.to_frequencies(right_hand_side(problem, shadow, Shares(0, 0, 1)))
         # z + a (x - z) with z = share b, u = 0
         gain = a * (1 / rho + share)
         spectrum = spectral.solved_frequencies(seen.clone(), constants.penalty, BALANCE, gain)
@@ -150,11 +148,8 @@ class LearnedAdmm:
         data = coarser.to_pixels(seen).div_(coarser.pixels)
         shadow, before = data / (coarser.weight * len(coarser.symbol)), None
         for constants in (each.among(len(coarser.symbol)) for each in self.coarse):
-            iterate = shadow.clamp(*bounds)
-            right = torch.lerp(iterate, shadow, -constants.trust)
-            right.add_(data, alpha=1 / (constants.penalty * coarser.weight))
-            moved = _moved(coarser, right, iterate, shadow, before, constants)
-            shadow, before = moved, shadow
+            right = blended(_right_shares(coarser, constants), shadow, bounds, data)
+            shadow, before = _moved(coarser, right, shadow, before, bounds, constants), shadow
         return coarser.to_frequencies(shadow).mul_(coarser.pixels)
 
 
@@ -165,21 +160,9 @@ def after_step(
     constants: Constants,
 ) -> Float[Tensor, "*batch 1 layer c ty tx"]:
     """Return s after a step."""
-    spectral, iterate = problem.gram.spectral, shadow.clamp(*problem.bounds)
-    right = torch.lerp(iterate, shadow, -constants.trust)
-    add_completed_(problem, right, iterate, 1 / (constants.penalty * spectral.weight))
-    return _moved(spectral, right, iterate, shadow, before, constants)
-
-
-def add_completed_(
-    problem: Problem,
-    result: Float[Tensor, "*batch 1 layer c ty tx"],
-    iterate: Float[Tensor, "*batch 1 layer c ty tx"],
-    factor: float = 1.0,
-) -> None:
-    """Add a multiple of b: A^T W L, and around the views what layers show there."""
-    problem.gram.from_torus(result).add_(problem.back_projected, alpha=factor)
-    problem.gram.add_band_(result, iterate, factor)
+    spectral = problem.gram.spectral
+    right = right_hand_side(problem, shadow, _right_shares(spectral, constants))
+    return _moved(spectral, right, shadow, before, problem.bounds, constants)
 
 
 def coarse_grid(spectral: Spectral) -> Spectral | None:
@@ -189,12 +172,18 @@ def coarse_grid(spectral: Spectral) -> Spectral | None:
     return coarser if min(width if coarser.by_row else height, width) >= _LEAST else None
 
 
+def _right_shares(spectral: Spectral, constants: Constants) -> Shares:
+    """Of z - trust (s - z) + b / rho."""
+    other = 1 / (constants.penalty * spectral.weight)
+    return Shares(1 + constants.trust, -constants.trust, other)
+
+
 def _moved(
     spectral: Spectral,
     right: Tensor,
-    iterate: Tensor,
     shadow: Tensor,
     before: Tensor | None,
+    bounds: tuple[float, float],
     constants: Constants,
 ) -> Tensor:
     """Return s after a step, from z - trust u + b / rho."""
@@ -202,5 +191,5 @@ def _moved(
     momentum = 0.0 if before is None else constants.momentum
     moved = spectral.solved_pixels(right, constants.penalty, BALANCE, gain=a)
     # a x + (1 - a) z + kept (s - z) + momentum (s - s of one step ago)
-    moved.add_(iterate, alpha=1 - a - kept).add_(shadow, alpha=kept + momentum)
-    return moved if before is None else moved.sub_(before, alpha=momentum)
+    shares = Shares(1 - a - kept, kept + momentum, -momentum)
+    return blended(shares, shadow, bounds, before, onto=moved)

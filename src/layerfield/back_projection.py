@@ -2,11 +2,13 @@
 
 from collections.abc import Sequence
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.kept_views import LARGEST, KeptViews
+from layerfield.kernels import code_sums
 from layerfield.kernels.light_paths import LightPaths, Shares
 from layerfield.links import Additive
 from layerfield.pieces import pieces
@@ -33,8 +35,7 @@ def back_projected(
         largest = LARGEST[views.stored.dtype]
         held = [dtype for dtype, most in _MOST.items() if largest * len(views) <= most]
         if held:
-            sums = _summed(projection, views, held[0])
-            return sums.to(torch.float32).mul_(weights[0]).div_(largest)
+            return _summed(projection, views, held[0], weights[0])
     layers = _none(projection, views, views.like.dtype)
     alone = layers.unsqueeze(-5)  # the only subframe
     paths = LightPaths(projection, _SUM, views, weights)
@@ -50,8 +51,13 @@ def back_projected(
     return layers
 
 
-def _summed(projection: Projection, views: KeptViews, dtype: torch.dtype) -> Tensor:
-    """A^T of codes for shifts of whole pixels, in whole numbers."""
+def _summed(projection: Projection, views: KeptViews, dtype: torch.dtype, weight: float) -> Tensor:
+    """A^T of codes for shifts of whole pixels, in whole numbers, then of what they stand for."""
+    largest = LARGEST[views.stored.dtype]
+    if code_sums.serve(views.stored):
+        offsets = np.array([[taps[0][:2] for taps in layers] for layers in projection.taps])
+        size = projection.layer_size(views.stored)
+        return code_sums.code_sums(views.stored, offsets, size, dtype, (weight, largest))
     layers = _none(projection, views, dtype)
     for piece in pieces(projection, views):
         codes, part = piece.of_views(views).stored, piece.of_layers(layers).unbind(dim=-4)
@@ -60,7 +66,7 @@ def _summed(projection: Projection, views: KeptViews, dtype: torch.dtype) -> Ten
             wide = view.to(dtype)
             for layer, ((top, left, _),) in zip(part, taps, strict=True):
                 layer[..., top : top + height, left : left + width].add_(wide)
-    return layers
+    return layers.to(torch.float32).mul_(weight).div_(largest)
 
 
 def _none(projection: Projection, views: KeptViews, dtype: torch.dtype) -> Tensor:

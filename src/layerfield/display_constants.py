@@ -26,10 +26,20 @@ def coverage_of(
     return _coverage(projection, weights, view_size, like.dtype, like.device)
 
 
+def even_shares_of(
+    projection: Projection, weights: tuple[float, ...], view_size: tuple[int, int], like: Tensor
+) -> tuple[Float[Tensor, "layer 1 ly lx"], Float[Tensor, "layer 1 ly lx"]]:
+    """Return what A^T W L is multiplied by for the balanced start, 1 / (K A^T W 1), and the rest.
+
+    Where nobody looks that is 0, and the rest 1 / K of a mean: 0 elsewhere.
+    """
+    return _even_shares(projection, weights, view_size, like.dtype, like.device)
+
+
 def forget_constants() -> None:
     """Keep nothing any more, so that the memory of what follows is its own."""
-    _gram.cache_clear()
-    _coverage.cache_clear()
+    for kept in (_gram, _coverage, _even_shares):
+        kept.cache_clear()
 
 
 @lru_cache(maxsize=_KEPT)
@@ -59,3 +69,18 @@ def _coverage(
             for k, layer in enumerate(layers):
                 projection.scatter_(layer, ones, i, k, weight)
         return layers
+
+
+@lru_cache(maxsize=_KEPT)
+def _even_shares(
+    projection: Projection,
+    weights: tuple[float, ...],
+    view_size: tuple[int, int],
+    dtype: torch.dtype,
+    device: torch.device,
+) -> tuple[Tensor, Tensor]:
+    coverage = _coverage(projection, weights, view_size, dtype, device)
+    with torch.inference_mode(False):
+        count, unseen = len(coverage), coverage <= 0
+        shares = 1 / (count * coverage.clamp(min=1e-6 * sum(weights)))
+        return shares.masked_fill_(unseen, 0), unseen.to(dtype) / count

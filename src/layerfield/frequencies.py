@@ -86,11 +86,17 @@ class Spectral:
         penalty: float,
         balance: float,
         gain: float = 1.0,
+        kept: float = 0.0,
     ) -> Complex[Tensor, "*batch layer c fy fx"]:
-        """Return the same of the spectrum of planes, which may be written on."""
+        """Return the same of the spectrum of planes, and some of it, kept as it is.
+
+        It may be written on.
+        """
         if not self._serves(spectrum):
-            return multiply(self._resolvent(penalty, balance, gain), spectrum)
-        spectra.resolve_(spectrum, self.symbol, self._terms(penalty, balance, gain))
+            product = multiply(self._resolvent(penalty, balance, gain), spectrum)
+            return product.add_(spectrum, alpha=kept) if kept else product
+        terms = self._terms(penalty, balance, gain)._replace(kept=kept)
+        spectra.resolve_(spectrum, self.symbol, terms)
         return spectrum
 
     def _serves(self, values: Tensor) -> bool:

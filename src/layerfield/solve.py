@@ -19,7 +19,7 @@ from torch import Tensor
 from layerfield.back_projection import back_projected
 from layerfield.composition import compose_view
 from layerfield.display import Display
-from layerfield.display_constants import coverage_of, gram_of
+from layerfield.display_constants import coverage_of, even_shares_of, gram_of
 from layerfield.gram import Gram
 from layerfield.kept_views import KeptViews
 from layerfield.kernels.light_paths import LightPaths
@@ -167,8 +167,9 @@ class Problem:
         """
         seen = self.coverage[0].sum(dim=(-2, -1), keepdim=True)
         mean = self.back_projected[..., :1, :, :, :].sum(dim=(-2, -1), keepdim=True) / seen
-        average = self.back_projected / self.coverage.clamp(min=1e-6 * sum(self.weights))
-        return torch.where(self.coverage > 0, average, mean) / self.layer_count
+        known = self.projection, self.weights, self.view_size, self.views.like
+        shares, rest = even_shares_of(*known)
+        return (self.back_projected * shares).addcmul_(mean, rest)
 
     def flat_start(self, apart: float = APART) -> Float[Tensor, "*batch subframe layer c ly lx"]:
         """Return the classical start: constant layers that together show the mean of the views.

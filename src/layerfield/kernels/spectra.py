@@ -26,11 +26,12 @@ _LARGE = 1 << 17  # complex pixels of a plane from which on it is transformed by
 
 
 class Terms(NamedTuple):
-    """Of g (G + rho I)^-1: rho; b of a term b (I - 1/K) added to G at frequency zero; and g."""
+    """Of g (G + rho I)^-1 + k I: rho; b of b (I - 1/K), added to G at frequency zero; g; and k."""
 
     rho: float
     balance: float
     gain: float
+    kept: float = 0.0
 
 
 class _Terms(NamedTuple):
@@ -39,6 +40,7 @@ class _Terms(NamedTuple):
     rho: np.float32
     balance: np.float32
     gain: np.float32
+    kept: np.float32
 
 
 class _Turns(NamedTuple):
@@ -72,12 +74,12 @@ def resolve_(
     symbol: Float[Tensor, "layer layer sy fx"],
     terms: Terms,
 ) -> None:
-    """Multiply a spectrum, as of `rfft2`, by g (G + rho I)^-1, in place.
+    """Multiply a spectrum, as of `rfft2`, by g (G + rho I)^-1 + k I, in place.
 
     Args:
         spectrum: contiguous.
         symbol: G(f); one row of it serves all rows of the spectrum.
-        terms: rho, b and g.
+        terms: rho, b, g and k.
     """
     height, (number, channels, *_) = spectrum.shape[-2], spectrum.shape[-4:]
     _expect(symbol, number, height, spectrum.shape[-1])
@@ -92,7 +94,7 @@ def resolved_(
     symbol: Float[Tensor, "layer layer fy fx"],
     terms: Terms,
 ) -> Float[Tensor, "*batch layer c ty tx"]:
-    """Return g (G + rho I)^-1 of planes of an even width, which may be written on.
+    """Return g (G + rho I)^-1 + k I times planes of an even width, which may be written on.
 
     Nothing but the planes is in memory, where they are large.
     """
@@ -310,7 +312,7 @@ def _multiply(matrix, seen, k, value):
 
 @compiled
 def _invert(matrix, terms, is_first):
-    """Find g (G + rho I)^-1: sweeps over all pivots end with minus the inverse."""
+    """Find g (G + rho I)^-1 + k I: sweeps over all pivots end with minus the inverse."""
     number = len(matrix)
     for k in range(number):
         _add(matrix[k, k], terms.rho)
@@ -321,6 +323,7 @@ def _invert(matrix, terms, is_first):
     for k in range(number):
         for m in range(k, number):
             _scale(matrix[k, m], -terms.gain)
+        _add(matrix[k, k], terms.kept)
 
 
 @compiled

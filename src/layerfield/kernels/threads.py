@@ -13,7 +13,7 @@ import torch
 _Work = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 _PROCESS = os.getpid()
 _SPANS = 4  # for every thread: who is held up by others leaves some
-_FEW = 1 << 18
+_FEW = 1 << 19
 
 
 def in_threads(task: Callable[[int], None], count: int) -> None:

@@ -131,13 +131,13 @@ class LearnedAdmm:
         share = 1 / (spectral.weight * len(spectral.symbol))
         a, rho = constants.relaxation, constants.penalty * spectral.weight
         seen = spectral.to_frequencies(right_hand_side(problem, shadow, Shares(0, 0, 1)))
+        coarser = coarse_grid(spectral) if self.coarse else None
+        low = None if coarser is None else low_part(seen, coarser)
         # z + a (x - z) with z = share b, u = 0
-        gain = a * (1 / rho + share)
-        spectrum = spectral.solved_frequencies(seen.clone(), constants.penalty, BALANCE, gain)
-        spectrum.add_(seen, alpha=(1 - a) * share)
-        coarser = coarse_grid(spectral)
-        if coarser is not None and self.coarse:
-            solved = self._solved_coarsely(coarser, low_part(seen, coarser), problem.bounds)
+        gain, kept = a * (1 / rho + share), (1 - a) * share
+        spectrum = spectral.solved_frequencies(seen, constants.penalty, BALANCE, gain, kept)
+        if coarser is not None and low is not None:
+            solved = self._solved_coarsely(coarser, low, problem.bounds)
             replace_low_part_(spectrum, solved, coarser)
         return spectral.to_pixels(spectrum)
 

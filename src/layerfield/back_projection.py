@@ -57,7 +57,7 @@ def _summed(projection: Projection, views: KeptViews, dtype: torch.dtype, weight
     if code_sums.serve(views.stored):
         offsets = np.array([[taps[0][:2] for taps in layers] for layers in projection.taps])
         size = projection.layer_size(views.stored)
-        return code_sums.code_sums(views.stored, offsets, size, dtype, (weight, largest))
+        return code_sums.code_sums(views.stored, offsets, size, dtype, weight / largest)
     layers = _none(projection, views, dtype)
     for piece in pieces(projection, views):
         codes, part = piece.of_views(views).stored, piece.of_layers(layers).unbind(dim=-4)

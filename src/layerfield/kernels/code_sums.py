@@ -23,7 +23,7 @@ def code_sums(
     offsets: np.ndarray,
     layer_size: tuple[int, int],
     dtype: torch.dtype,
-    unit: tuple[float, float],
+    unit: float,
 ) -> Float[Tensor, "*batch layer c ly lx"]:
     """Return the sum over views of codes, each moved as a layer lies beneath it.
 
@@ -32,23 +32,22 @@ def code_sums(
         offsets: `[view, layer, 2]`, row and column of a layer beneath the first pixel of a view.
         layer_size: rows and columns of the layers.
         dtype: whole numbers that hold the sums.
-        unit: what sums are multiplied by, and then divided by.
+        unit: what code 1 stands for.
     """
     *batch, _, channels, _, _ = codes.shape
     result = torch.empty(*batch, offsets.shape[1], channels, *layer_size)
     seen = codes.contiguous().view(-1, *codes.shape[-4:]).numpy()
     made, held = result.view(-1, *result.shape[-4:]).numpy(), torch.zeros(1, dtype=dtype).numpy()
-    factor, largest = map(np.float32, unit)
 
     def task(begin: int, end: int) -> None:
-        _add_rows(made, seen, offsets, held, factor, largest, begin, end)
+        _add_rows(made, seen, offsets, held, unit, begin, end)
 
     in_spans(task, len(made) * channels * layer_size[0], seen.size)
     return result
 
 
 @compiled
-def _add_rows(layers, views, offsets, held, factor, largest, begin, end):
+def _add_rows(layers, views, offsets, held, unit, begin, end):
     """Rows of the layers, all layers together, channel by channel, from and to."""
     number, channels, height, width = layers.shape[1:]
     sums = np.zeros(width, held.dtype)
@@ -61,7 +60,7 @@ def _add_rows(layers, views, offsets, held, factor, largest, begin, end):
                 y, x = row - offsets[i, k, 0], offsets[i, k, 1]
                 if 0 <= y < views.shape[3]:
                     _add(sums[x : x + views.shape[4]], views[item, i, channel, y])
-            _finish(layers[item, k, channel, row], sums, factor, largest)
+            _finish(layers[item, k, channel, row], sums, unit)
 
 
 @compiled
@@ -71,6 +70,7 @@ def _add(sums, codes):
 
 
 @compiled
-def _finish(row, sums, factor, largest):
+def _finish(row, sums, unit):
+    """In double precision, so that what is exact stays so."""
     for x in range(len(row)):
-        row[x] = np.float32(sums[x]) * factor / largest
+        row[x] = sums[x] * unit

@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from layerfield.kernels import newton_passes
 from layerfield.solve import Problem
 from layerfield.solvers.fourier_admm import dual_at_bounds
 from layerfield.solvers.fourier_start import FourierStart
@@ -74,8 +75,7 @@ class NewtonAdmm:
 
     def step(self, problem: Problem, state: NewtonState) -> NewtonState:
         known = self._constants(state.count, problem.layer_count)
-        spectral, rho = problem.gram.spectral, known.penalty * problem.gram.spectral.weight
-        iterate = state.shadow.clamp(*problem.bounds)
+        spectral, iterate = problem.gram.spectral, state.shadow.clamp(*problem.bounds)
         error = iterate.new_zeros(*iterate.shape[:-5], 1, 1, 1, 1, 1)
         if renews_scale(state.count):
             curvature = torch.zeros_like(iterate)
@@ -84,22 +84,11 @@ class NewtonAdmm:
         else:
             found, scale = slope(problem, iterate, error=error), state.scale
         assert scale is not None
-        dual = state.shadow - iterate
-        if state.scale is None:
-            dual = dual_at_bounds(iterate, found, problem.bounds, rho * scale.square())
-        elif scale is not state.scale:
-            dual *= (state.scale / scale).square_()  # of the same force, rho D^2 u
-        # (D^-1 g + rho trust D u) / rho, and rho (G + rho I)^-1 of it
-        right = found.div_(scale).div_(rho).addcmul_(dual, scale, value=known.trust)
-        solved = spectral.solved_pixels(
-            problem.gram.to_torus(right), known.penalty, BALANCE, gain=-known.relaxation
-        )
-        boldness = _boldness(state, error)
-        moved = problem.gram.from_torus(solved) / scale
-        if state.before is not None:
-            moved.add_(state.shadow - state.before, alpha=known.momentum)
-        moved.mul_(boldness).add_(iterate).add_(dual, alpha=known.kept)
-        made = state.count + 1
+        right, dual = _right_hand_side(problem, state, found, scale, known)
+        del iterate, found
+        solved = spectral.solved_pixels(right, known.penalty, BALANCE, gain=-known.relaxation)
+        boldness, made = _boldness(state, error), state.count + 1
+        moved = _moved(problem, state, dual, scale, solved, boldness, known)
         # The last learned step looks to nothing behind it: not a change to be made once more.
         before = None if made == len(self.full) else state.shadow
         return NewtonState(moved, before, scale, made, error, boldness)
@@ -186,6 +175,49 @@ def slope(
     if error is not None:
         error += torch.stack(norms).square().sum(dim=0).unsqueeze(-5)
     return result
+
+
+def _right_hand_side(
+    problem: Problem, state: NewtonState, slope: Tensor, scale: Tensor, known: Constants
+) -> tuple[Tensor, Tensor]:
+    """Return (D^-1 g + rho trust D u) / rho on the torus, and u; the slope is written on."""
+    gram, (low, high) = problem.gram, problem.bounds
+    rho = known.penalty * gram.spectral.weight
+    if newton_passes.serve(state.shadow, slope, scale, state.scale):
+        terms = newton_passes.Before(rho, known.trust, low, high)
+        return newton_passes.before(terms, state.shadow, slope, scale, state.scale, gram.torus)
+    iterate = state.shadow.clamp(low, high)
+    if state.scale is None:
+        dual = dual_at_bounds(iterate, slope, problem.bounds, rho * scale.square())
+    else:
+        dual = state.shadow - iterate
+        if scale is not state.scale:
+            dual *= (state.scale / scale).square_()  # of the same force, rho D^2 u
+    right = slope.div_(scale).div_(rho).addcmul_(dual, scale, value=known.trust)
+    return gram.to_torus(right), dual
+
+
+def _moved(
+    problem: Problem,
+    state: NewtonState,
+    dual: Tensor,
+    scale: Tensor,
+    solved: Tensor,
+    boldness: Tensor,
+    known: Constants,
+) -> Tensor:
+    """Return s behind a step; the dual is written on."""
+    low, high = problem.bounds
+    momentum = 0.0 if state.before is None else known.momentum
+    if newton_passes.serve(state.shadow, state.before, dual, scale, solved):
+        terms = newton_passes.Behind(known.kept, momentum, low, high)
+        return newton_passes.behind(
+            terms, state.shadow, state.before, dual, scale, solved, boldness
+        )
+    moved = problem.gram.from_torus(solved) / scale
+    if state.before is not None:
+        moved.add_(state.shadow - state.before, alpha=momentum)
+    return moved.mul_(boldness).add_(state.shadow.clamp(low, high)).add_(dual, alpha=known.kept)
 
 
 def _boldness(state: NewtonState, error: Tensor) -> Tensor:

@@ -1,0 +1,183 @@
+"""What a Newton step is made of but slopes and its linear system: a pass before, and one behind.
+
+Layers lie in the top left corner of the torus; see `NewtonAdmm`.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from layerfield.kernels.compiled import compiled, is_plain
+from layerfield.kernels.threads import in_spans
+
+Layers = Float[Tensor, "*batch 1 layer c ly lx"]
+Torus = Float[Tensor, "*batch 1 layer c ty tx"]
+
+
+class Before(NamedTuple):
+    """Of (D^-1 g + rho trust D u) / rho: rho and trust; and the bounds."""
+
+    rho: float
+    trust: float
+    low: float
+    high: float
+
+
+class Behind(NamedTuple):
+    """Shares of the dual and of the last change; and the bounds."""
+
+    kept: float
+    momentum: float
+    low: float
+    high: float
+
+
+class _Before(NamedTuple):
+    rho: np.float32
+    trust: np.float32
+    low: np.float32
+    high: np.float32
+
+
+class _Behind(NamedTuple):
+    kept: np.float32
+    momentum: np.float32
+    low: np.float32
+    high: np.float32
+
+
+def serve(*values: Tensor | None) -> bool:
+    """Whether the passes can be called: contiguous, single precision, on a processor."""
+    known = [each for each in values if each is not None]
+    if is_plain() or (torch.is_grad_enabled() and any(each.requires_grad for each in known)):
+        return False
+    return all(
+        each.dtype == torch.float32 and each.device.type == "cpu" and each.is_contiguous()
+        for each in known
+    )
+
+
+def before(
+    terms: Before,
+    shadow: Layers,
+    slope: Layers,
+    scale: Layers,
+    scale_before: Layers | None,
+    torus: tuple[int, int],
+) -> tuple[Torus, Layers]:
+    """Return the right-hand side, and the dual, which is written into the slope.
+
+    Args:
+        terms: of the right-hand side.
+        shadow: s.
+        slope: g.
+        scale: D.
+        scale_before: D of the step before, whose dual s - z is; without one it follows from g.
+        torus: its rows and columns.
+    """
+    right = torch.empty(*shadow.shape[:-2], *torus)
+    seen = [_planes(each) for each in (right, shadow, slope, scale)]
+    known, is_first = _Before(*map(np.float32, terms)), scale_before is None
+    last = seen[3] if scale_before is None else _planes(scale_before)
+
+    def task(begin: int, end: int) -> None:
+        _before(*seen, last, known, is_first, begin, end)
+
+    in_spans(task, seen[0].shape[0] * torus[0], seen[0].size)
+    return right, slope
+
+
+def behind(
+    terms: Behind,
+    shadow: Layers,
+    last: Layers | None,
+    dual: Layers,
+    scale: Layers,
+    solved: Torus,
+    boldness: Float[Tensor, "*batch 1 1 1 1 1"],
+) -> Layers:
+    """Return s after the step, which is written into the dual.
+
+    Args:
+        terms: how much of what there was before.
+        shadow: s.
+        last: s of one step ago.
+        dual: u.
+        scale: D.
+        solved: of the linear system.
+        boldness: how far to go.
+    """
+    seen = [_planes(each) for each in (dual, shadow, scale, solved)]
+    shares = boldness.expand(*shadow.shape[:-2], 1, 1).flatten().numpy()
+    known, ago = _Behind(*map(np.float32, terms)), seen[1] if last is None else _planes(last)
+
+    def task(begin: int, end: int) -> None:
+        _behind(*seen, ago, shares, known, begin, end)
+
+    in_spans(task, seen[0].shape[0] * seen[0].shape[1], seen[0].size)
+    return dual
+
+
+def _planes(layers: Tensor) -> np.ndarray:
+    return layers.detach().view(-1, *layers.shape[-2:]).numpy()
+
+
+@compiled
+def _before(rights, shadows, slopes, scales, last, terms, is_first, begin, end):
+    """Rows of all planes of the torus, one after the other, from and to."""
+    rows, height, width = rights.shape[1], shadows.shape[1], shadows.shape[2]
+    for number in range(begin, end):
+        plane, y = number // rows, number % rows
+        if y >= height:
+            rights[plane, y] = 0
+            continue
+        right, shadow, slope = rights[plane, y], shadows[plane, y], slopes[plane, y]
+        right[width:] = 0
+        if is_first:
+            _dual_at_bounds(right, shadow, slope, scales[plane, y], terms)
+        else:
+            _dual_of(right, shadow, slope, scales[plane, y], last[plane, y], terms)
+
+
+@compiled
+def _dual_of(right, shadow, slope, scale, last, terms):
+    for x in range(len(shadow)):
+        iterate = min(max(shadow[x], terms.low), terms.high)
+        turned = last[x] / scale[x]
+        dual = (shadow[x] - iterate) * turned * turned  # of the same force, rho D^2 u
+        right[x] = slope[x] / (terms.rho * scale[x]) + terms.trust * scale[x] * dual
+        slope[x] = dual
+
+
+@compiled
+def _dual_at_bounds(right, shadow, slope, scale, terms):
+    zero = np.float32(0)
+    for x in range(len(shadow)):
+        iterate = min(max(shadow[x], terms.low), terms.high)
+        held_low = iterate <= terms.low and slope[x] > zero
+        held_high = iterate >= terms.high and slope[x] < zero
+        force = slope[x] if held_low or held_high else zero
+        dual = -force / (terms.rho * scale[x] * scale[x])
+        right[x] = slope[x] / (terms.rho * scale[x]) + terms.trust * scale[x] * dual
+        slope[x] = dual
+
+
+@compiled
+def _behind(duals, shadows, scales, solved, last, boldness, terms, begin, end):
+    """Rows of all planes of the layers, one after the other, from and to."""
+    height = duals.shape[1]
+    for number in range(begin, end):
+        plane, y = number // height, number % height
+        dual, shadow, scale = duals[plane, y], shadows[plane, y], scales[plane, y]
+        _move(dual, shadow, scale, solved[plane, y], last[plane, y], boldness[plane], terms)
+
+
+@compiled
+def _move(dual, shadow, scale, solved, last, boldness, terms):
+    for x in range(len(dual)):
+        iterate = min(max(shadow[x], terms.low), terms.high)
+        change = solved[x] / scale[x] + terms.momentum * (shadow[x] - last[x])
+        dual[x] = boldness * change + iterate + terms.kept * dual[x]

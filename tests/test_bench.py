@@ -21,7 +21,7 @@ from layerfield.bench import benchmark, frontier, scaling
 from layerfield.bench.benchmark import bench_growth, bench_methods
 from layerfield.bench.figures import file_name
 from layerfield.bench.frontier import Contest, parse_contenders, run_contest
-from layerfield.bench.operations import OperationCounter
+from layerfield.bench.operations import OperationCounter, TransformRecorder
 from layerfield.bench.reaching import reached, reached_tables
 from layerfield.bench.records import known_rows, open_folder
 from layerfield.bench.road import EightBitViews, views_to_panels
@@ -103,10 +103,20 @@ def test_operations_of_known_sums():
     with OperationCounter() as counter:
         torch.fft.irfft2(torch.fft.rfft2(a))
     assert counter.operations >= 2 * 2.5 * 32 * math.log2(32)
-    assert len(counter.transforms) == 2
-    with OperationCounter() as again:
-        counter.again()()
-    assert len(again.transforms) == 2
+
+
+def test_transforms_are_those_of_the_run_itself(field):
+    """A step makes complex ones of half the width, where it is compiled."""
+    values = torch.ones(4, 8)
+    with TransformRecorder() as recorder:
+        torch.fft.irfft2(torch.fft.rfft2(values))
+    with TransformRecorder() as again:
+        recorder.again()()
+    assert len(recorder.transforms) == len(again.transforms) >= 2
+    with TransformRecorder() as run:
+        views_to_panels(EightBitViews.of(field), DISPLAY, "fourier-admm", 3)
+    names = [func.overloadpacket.__name__ for func, _, _ in run.transforms]
+    assert names == 6 * ["_fft_c2c"]
 
 
 @pytest.mark.parametrize("method", ["nmf", "fourier-admm"])

@@ -46,13 +46,12 @@ class OperationCounter(TorchDispatchMode):
 
     Copies, views of memory and changes of type count as nothing. Compiled loops stand aside for
     what they replace; what else is done past PyTorch's operators is not seen. `operations` is their
-    number, `transforms` the calls of Fourier transforms.
+    number.
     """
 
     def __init__(self) -> None:
         super().__init__()
         self.operations = 0.0
-        self.transforms: list[tuple[Any, _Array, tuple]] = []
         self._inside = ExitStack()
 
     def __enter__(self) -> "OperationCounter":
@@ -76,11 +75,25 @@ class OperationCounter(TorchDispatchMode):
             self.operations += flop_registry[func.overloadpacket](*args, **kwargs, out_val=made)
         elif name in _TRANSFORMS:
             self.operations += _transform(name, args, made)
-            self.transforms.append((func, _Array.of(args[0]), args[1:]))
         elif name in _REDUCTIONS:
             self.operations += _numel(args[0])
         elif torch.Tag.pointwise in func.tags and name not in _MOVES:
             self.operations += _of_elements(name, kwargs, made)
+
+
+class TransformRecorder(TorchDispatchMode):
+    """Keeps the calls of Fourier transforms inside a `with`, those between compiled loops, too."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.transforms: list[tuple[Any, _Array, tuple]] = []
+
+    def __torch_dispatch__(
+        self, func: Any, types: Any, args: tuple = (), kwargs: dict | None = None
+    ) -> Any:
+        if func.overloadpacket.__name__ in _TRANSFORMS:
+            self.transforms.append((func, _Array.of(args[0]), args[1:]))
+        return func(*args, **(kwargs or {}))
 
     def again(self) -> Callable[[], None]:
         """Return what makes all Fourier transforms of the run again, and nothing else."""

@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from layerfield.bench.operations import OperationCounter
+from layerfield.bench.operations import OperationCounter, TransformRecorder
 from layerfield.bench.road import EightBitViews, Panels, views_to_panels
 from layerfield.bench.timing import Seconds, timed
 from layerfield.display import Display
@@ -153,6 +153,8 @@ def measured(
     error, unrounded = (mean_square_error(v, light) for v in (from_codes, display(made.layers)))
     with OperationCounter() as counter:
         run()
+    with TransformRecorder() as recorder:
+        run()
     return BenchRow(
         field=views.name,
         size=views.size,
@@ -166,14 +168,14 @@ def measured(
         capped=seconds.median > effort.cap,
         operations=counter.operations,
         operations_per_pixel=counter.operations / views.codes[0].numel(),
-        transform_seconds=_transforms(counter, device, effort),
+        transform_seconds=_transforms(recorder, device, effort),
     )
 
 
-def _transforms(counter: OperationCounter, device: torch.device, effort: Effort) -> float | None:
-    if not counter.transforms:
+def _transforms(recorder: TransformRecorder, device: torch.device, effort: Effort) -> float | None:
+    if not recorder.transforms:
         return None
-    return timed(counter.again(), device, repeats=effort.repeats)[0].median
+    return timed(recorder.again(), device, repeats=effort.repeats)[0].median
 
 
 def with_peak(row: BenchRow, views: EightBitViews, display: Display, method: str) -> BenchRow:

@@ -8,6 +8,7 @@ from layerfield.display_spec import parse_spec
 from layerfield.frequencies import Spectral
 from layerfield.gram import spectral_of
 from layerfield.kernels import spectra
+from layerfield.kernels.compiled import serve
 
 SHOWN = {
     "three layers": "views = [3, 3]\ndisparity = [1, 0, -1]",
@@ -81,8 +82,8 @@ def test_what_is_not_served_is_left_to_pytorch():
     assert uneven.symbol.is_complex()
     assert uneven.solved_pixels(planes(3, (20, 24)), 0.1, 0.0).isfinite().all()
     values = planes(3, (20, 24))
-    assert not spectra.serve(values.double())
-    assert not spectra.serve(values.clone().requires_grad_())
+    assert not serve(values.double())
+    assert not serve(values.clone().requires_grad_())
     odd = spectral("three layers", (20, 25))
     assert odd.solved_pixels(planes(3, (20, 25)), 0.1, 0.003).shape[-1] == 25
 

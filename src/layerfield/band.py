@@ -17,6 +17,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.kernels import strips
+from layerfield.kernels.compiled import serve
 from layerfield.kernels.strips import Filters
 from layerfield.projection import Projection, taps_of
 
@@ -214,7 +215,7 @@ def _strip(
     axis: Axis,
 ) -> Float[Tensor, "*batch layer c n along"]:
     """Return what a strip comes to: matrices across it, the filters of an axis along it."""
-    if strips.serve(strip):
+    if serve(strip):
         return strips.across_and_along(strip, matrices, axis.taps)
     count, thick, length = len(matrices), strip.shape[-2], strip.shape[-1]
     reach = 2 * axis.margin

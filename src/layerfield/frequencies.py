@@ -11,6 +11,7 @@ from jaxtyping import Complex, Float, Inexact
 from torch import Tensor
 
 from layerfield.kernels import spectra
+from layerfield.kernels.compiled import serve
 
 _MOST_KEPT = 1 << 31  # bytes of the resolvents of a display: those of `fast` up to 8 megapixels
 
@@ -55,7 +56,7 @@ class Spectral:
         """Return the planes of a spectrum."""
         if self.by_row:
             return torch.fft.irfft(spectrum, n=self.torus[1])
-        if spectra.serve(spectrum) and self.torus[1] % 2 == 0:
+        if serve(spectrum) and self.torus[1] % 2 == 0:
             return spectra.to_pixels(spectrum)
         return torch.fft.irfft2(spectrum, s=self.torus)
 
@@ -100,7 +101,7 @@ class Spectral:
         return spectrum
 
     def _serves(self, values: Tensor) -> bool:
-        return spectra.serve(values) and self.symbol.dtype == torch.float32
+        return serve(values) and self.symbol.dtype == torch.float32
 
     def _terms(self, penalty: float, balance: float, gain: float) -> spectra.Terms:
         pull = 0 if self.by_row else balance * self.weight

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.kernels.compiled import compiled, is_plain
+from layerfield.kernels.compiled import compiled, serve
 from layerfield.kernels.threads import in_spans
 
 _NONE = np.zeros((0, 0, 0), np.float32)
@@ -48,8 +48,7 @@ def blended(
         other: planes that may be smaller: they lie in the top left corner.
         onto: to which all is added, in place.
     """
-    known = [each for each in (shadow, other, onto) if each is not None]
-    if not all(map(_serves, known)) or not (onto is None or onto.is_contiguous()):
+    if not serve(shadow, other, onto) or not (onto is None or onto.is_contiguous()):
         return _blended(shares, shadow, bounds, other, onto)
     (height, width), batch = shadow.shape[-2:], shadow.shape[:-2]
     if other is not None and (other.shape[-2] > height or other.shape[-1] > width):
@@ -64,11 +63,6 @@ def blended(
 
     in_spans(task, len(planes) * height, planes.size)
     return result
-
-
-def _serves(values: Tensor) -> bool:
-    single = values.dtype == torch.float32 and values.device.type == "cpu"
-    return single and not is_plain() and not (torch.is_grad_enabled() and values.requires_grad)
 
 
 def _blended(

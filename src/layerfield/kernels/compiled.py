@@ -8,10 +8,14 @@ from inspect import unwrap
 from types import FunctionType
 from typing import Any
 
+import torch
+from torch import Tensor
+
 # As C compilers have it: sums may be reordered, and nothing infinite comes in.
 _FREE = {"contract", "reassoc", "nsz", "arcp", "nnan", "ninf"}
 # Loops that are functions of their own are put where they are called: calls cost as much as rows.
 _OPTIONS = {"nogil": True, "inline": "always", "fastmath": _FREE, "error_model": "numpy"}
+_SINGLE = (torch.float32, torch.complex64)
 _PLAIN = ContextVar("plain", default=False)
 
 
@@ -28,6 +32,14 @@ def plain() -> Iterator[None]:
 def is_plain() -> bool:
     """Whether everything is left to PyTorch."""
     return _PLAIN.get()
+
+
+def serve(*values: Tensor | None) -> bool:
+    """Whether loops for single precision serve all of these: on a processor, no derivatives."""
+    known = [each for each in values if each is not None]
+    if is_plain() or (torch.is_grad_enabled() and any(each.requires_grad for each in known)):
+        return False
+    return all(each.dtype in _SINGLE and each.device.type == "cpu" for each in known)
 
 
 class compiled:  # noqa: N801 - a decorator

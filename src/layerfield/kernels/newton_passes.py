@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.kernels.compiled import compiled, is_plain
+from layerfield.kernels.compiled import compiled, serve
 from layerfield.kernels.threads import in_spans
 
 Layers = Float[Tensor, "*batch 1 layer c ly lx"]
@@ -49,15 +49,9 @@ class _Behind(NamedTuple):
     high: np.float32
 
 
-def serve(*values: Tensor | None) -> bool:
-    """Whether the passes can be called: contiguous, single precision, on a processor."""
-    known = [each for each in values if each is not None]
-    if is_plain() or (torch.is_grad_enabled() and any(each.requires_grad for each in known)):
-        return False
-    return all(
-        each.dtype == torch.float32 and each.device.type == "cpu" and each.is_contiguous()
-        for each in known
-    )
+def serve_layers(*values: Tensor | None) -> bool:
+    """Whether the passes can be called: as `serve`, and contiguous."""
+    return serve(*values) and all(each is None or each.is_contiguous() for each in values)
 
 
 def before(

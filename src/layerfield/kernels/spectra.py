@@ -18,7 +18,7 @@ import torch
 from jaxtyping import Complex, Float
 from torch import Tensor
 
-from layerfield.kernels.compiled import compiled, is_plain
+from layerfield.kernels.compiled import compiled
 from layerfield.kernels.threads import in_spans
 
 _HALF = np.float32(0.5)
@@ -48,12 +48,6 @@ class _Turns(NamedTuple):
 
     cos: np.ndarray
     sin: np.ndarray
-
-
-def serve(values: Tensor) -> bool:
-    """Whether planes or their spectra can be given: single precision, on a processor."""
-    single = values.dtype in (torch.float32, torch.complex64) and values.device.type == "cpu"
-    return single and not is_plain() and not (torch.is_grad_enabled() and values.requires_grad)
 
 
 def to_pixels(spectrum: Complex[Tensor, "*batch fy fx"]) -> Float[Tensor, "*batch ty tx"]:

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.kernels.compiled import compiled, is_plain
+from layerfield.kernels.compiled import compiled
 from layerfield.kernels.threads import in_threads
 
 
@@ -16,12 +16,6 @@ class Filters(NamedTuple):
 
     offset: np.ndarray
     weight: np.ndarray
-
-
-def serve(strip: Tensor) -> bool:
-    """Whether `across_and_along` can be called: single precision, on a processor."""
-    single = strip.dtype == torch.float32 and strip.device.type == "cpu"
-    return single and not is_plain() and not (torch.is_grad_enabled() and strip.requires_grad)
 
 
 def across_and_along(

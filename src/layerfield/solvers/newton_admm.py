@@ -183,7 +183,7 @@ def _right_hand_side(
     """Return (D^-1 g + rho trust D u) / rho on the torus, and u; the slope is written on."""
     gram, (low, high) = problem.gram, problem.bounds
     rho = known.penalty * gram.spectral.weight
-    if newton_passes.serve(state.shadow, slope, scale, state.scale):
+    if newton_passes.serve_layers(state.shadow, slope, scale, state.scale):
         terms = newton_passes.Before(rho, known.trust, low, high)
         return newton_passes.before(terms, state.shadow, slope, scale, state.scale, gram.torus)
     iterate = state.shadow.clamp(low, high)
@@ -209,7 +209,7 @@ def _moved(
     """Return s behind a step; the dual is written on."""
     low, high = problem.bounds
     momentum = 0.0 if state.before is None else known.momentum
-    if newton_passes.serve(state.shadow, state.before, dual, scale, solved):
+    if newton_passes.serve_layers(state.shadow, state.before, dual, scale, solved):
         terms = newton_passes.Behind(known.kept, momentum, low, high)
         return newton_passes.behind(
             terms, state.shadow, state.before, dual, scale, solved, boldness

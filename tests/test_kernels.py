@@ -9,6 +9,7 @@ from dataclasses import replace
 import numba
 import pytest
 import torch
+from displays import SHOWN
 
 from layerfield import Display, Problem
 from layerfield.display_spec import parse_spec
@@ -19,13 +20,6 @@ from layerfield.kernels.threads import in_threads
 from layerfield.solvers import ntf, sweeps
 from layerfield.solvers.newton_admm import slope
 
-SHOWN = {
-    "three layers": "views = [3, 3]\ndisparity = [1, 0, -1]",
-    "two layers, fractions": "views = [3, 4]\ndisparity = [0.7, -0.4]",
-    "one layer": "views = [2, 2]\ndisparity = [0.0]",
-    "six layers": "views = [2, 3]\ndisparity = [2, 1, 0.5, 0, -1, -2]",
-    "one row": "views = [1, 5]\ndisparity = [1.3, 0, -1]",
-}
 KEPT = ["codes", "codes of 16 bits", "linear light", "values", "a window of more"]
 
 

@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from displays import SHOWN
 
 from layerfield import Display
 from layerfield.display_spec import parse_spec
@@ -10,13 +11,6 @@ from layerfield.gram import spectral_of
 from layerfield.kernels import spectra
 from layerfield.kernels.compiled import serve
 
-SHOWN = {
-    "three layers": "views = [3, 3]\ndisparity = [1, 0, -1]",
-    "two layers, fractions": "views = [3, 4]\ndisparity = [0.7, -0.4]",
-    "one layer": "views = [2, 2]\ndisparity = [0.0]",
-    "six layers": "views = [2, 3]\ndisparity = [2, 1, 0.5, 0, -1, -2]",
-    "one row": "views = [1, 5]\ndisparity = [1.3, 0, -1]",
-}
 SIZES = [(6, 8), (9, 14), (1, 2), (10, 4), (7, 10), (40, 36)]
 
 

@@ -22,16 +22,6 @@ class Shares(NamedTuple):
     other: float = 0.0
 
 
-class _Shares(NamedTuple):
-    """The same in single precision, and the bounds."""
-
-    iterate: np.float32
-    shadow: np.float32
-    other: np.float32
-    low: np.float32
-    high: np.float32
-
-
 def blended(
     shares: Shares,
     shadow: Float[Tensor, "*batch ty tx"],
@@ -56,10 +46,10 @@ def blended(
     result = torch.empty(shadow.shape) if onto is None else onto
     planes, seen = _planes(result), _planes(shadow.contiguous())
     added = _NONE if other is None else _planes(other.expand(*batch, -1, -1).contiguous())
-    numbers = _Shares(*map(np.float32, (*shares, *bounds)))
+    single, (low, high) = Shares._make(map(np.float32, shares)), map(np.float32, bounds)
 
     def task(begin: int, end: int) -> None:
-        _blend(planes, seen, added, numbers, onto is None, begin, end)
+        _blend(planes, seen, added, single, low, high, onto is None, begin, end)
 
     in_spans(task, len(planes) * height, planes.size)
     return result
@@ -90,30 +80,30 @@ def _planes(values: Tensor) -> np.ndarray:
 
 
 @compiled
-def _blend(planes, shadows, others, shares, is_new, begin, end):
+def _blend(planes, shadows, others, shares, low, high, is_new, begin, end):
     """Rows of all planes, one after the other, from and to."""
     height = planes.shape[1]
     for number in range(begin, end):
         plane, y = number // height, number % height
         if is_new:
-            _set(planes[plane, y], shadows[plane, y], shares)
+            _set(planes[plane, y], shadows[plane, y], shares, low, high)
         else:
-            _add(planes[plane, y], shadows[plane, y], shares)
+            _add(planes[plane, y], shadows[plane, y], shares, low, high)
         if y < others.shape[1]:
             _add_other(planes[plane, y], others[plane, y], shares.other)
 
 
 @compiled
-def _set(row, shadow, shares):
+def _set(row, shadow, shares, low, high):
     for x in range(len(row)):
-        iterate = min(max(shadow[x], shares.low), shares.high)
+        iterate = min(max(shadow[x], low), high)
         row[x] = shares.iterate * iterate + shares.shadow * shadow[x]
 
 
 @compiled
-def _add(row, shadow, shares):
+def _add(row, shadow, shares, low, high):
     for x in range(len(row)):
-        iterate = min(max(shadow[x], shares.low), shares.high)
+        iterate = min(max(shadow[x], low), high)
         row[x] += shares.iterate * iterate + shares.shadow * shadow[x]
 
 

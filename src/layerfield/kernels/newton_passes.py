@@ -35,20 +35,6 @@ class Behind(NamedTuple):
     high: float
 
 
-class _Before(NamedTuple):
-    rho: np.float32
-    trust: np.float32
-    low: np.float32
-    high: np.float32
-
-
-class _Behind(NamedTuple):
-    kept: np.float32
-    momentum: np.float32
-    low: np.float32
-    high: np.float32
-
-
 def serve_layers(*values: Tensor | None) -> bool:
     """Whether the passes can be called: as `serve`, and contiguous."""
     return serve(*values) and all(each is None or each.is_contiguous() for each in values)
@@ -74,7 +60,7 @@ def before(
     """
     right = torch.empty(*shadow.shape[:-2], *torus)
     seen = [_planes(each) for each in (right, shadow, slope, scale)]
-    known, is_first = _Before(*map(np.float32, terms)), scale_before is None
+    known, is_first = Before._make(map(np.float32, terms)), scale_before is None
     last = seen[3] if scale_before is None else _planes(scale_before)
 
     def task(begin: int, end: int) -> None:
@@ -106,7 +92,7 @@ def behind(
     """
     seen = [_planes(each) for each in (dual, shadow, scale, solved)]
     shares = boldness.expand(*shadow.shape[:-2], 1, 1).flatten().numpy()
-    known, ago = _Behind(*map(np.float32, terms)), seen[1] if last is None else _planes(last)
+    known, ago = Behind._make(map(np.float32, terms)), seen[1] if last is None else _planes(last)
 
     def task(begin: int, end: int) -> None:
         _behind(*seen, ago, shares, known, begin, end)

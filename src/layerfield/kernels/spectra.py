@@ -34,15 +34,6 @@ class Terms(NamedTuple):
     kept: float = 0.0
 
 
-class _Terms(NamedTuple):
-    """The same in single precision."""
-
-    rho: np.float32
-    balance: np.float32
-    gain: np.float32
-    kept: np.float32
-
-
 class _Turns(NamedTuple):
     """Of w."""
 
@@ -78,8 +69,7 @@ def resolve_(
     height, (number, channels, *_) = spectrum.shape[-2], spectrum.shape[-4:]
     _expect(symbol, number, height, spectrum.shape[-1])
     seen, matrices = _numbers(spectrum, number, channels), symbol.numpy()
-    known = _Terms(*map(np.float32, terms))
-
+    known = Terms._make(map(np.float32, terms))
     in_spans(lambda begin, end: _resolve_rows(seen, matrices, known, begin, end), height, seen.size)
 
 
@@ -95,7 +85,7 @@ def resolved_(
     (number, channels, height, width) = planes.shape[-4:]
     _expect(symbol, number, height, width // 2 + 1)
     pairs = _transformed_(torch.fft.fft2, _pairs(planes))
-    known = _Terms(*map(np.float32, terms))
+    known = Terms._make(map(np.float32, terms))
     seen = _numbers(pairs, number, channels)
     matrices, turns = symbol.numpy(), _turns(width)
 

@@ -16,9 +16,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.kernels import strips
 from layerfield.kernels.compiled import serve
-from layerfield.kernels.strips import Filters
+from layerfield.kernels.strips import Side, add_band_
 from layerfield.projection import Projection, taps_of
 
 Size = tuple[int, int]
@@ -124,8 +123,8 @@ class Axis:
         return [[self._filter(to, come) for come in layers] for to in layers]
 
     @cached_property
-    def taps(self) -> Filters:
-        """The same as arrays."""
+    def side(self) -> Side:
+        """The same and `matrices` as arrays."""
         count = range(len(self.filters))
         most = max(len(self.filters[to][come]) for to in count for come in count)
         offset = np.zeros((len(count), len(count), most), dtype=np.int64)
@@ -134,7 +133,7 @@ class Axis:
             for come in count:
                 for tap, known in enumerate(self.filters[to][come]):
                     offset[to, come, tap], weight[to, come, tap] = known
-        return Filters(offset, weight)
+        return Side(self.span[0], self.matrices.float().numpy(), offset, weight)
 
     def _filter(self, to: int, come: int) -> Kernel:
         found: dict[int, float] = defaultdict(float)
@@ -188,6 +187,9 @@ class GridBand:
     ) -> None:
         """Add a multiple of A^T (1 - M) W A of layers clamped to bounds, in place."""
         factor *= self._weight
+        if serve(result, layers) and result.is_contiguous():
+            add_band_(result, layers, (self._axes[0].side, self._axes[1].side), factor, bounds)
+            return
         (down, across), (by_row, by_column) = self._axes, self._matrices(layers)
         rows = _cut(layers, down.span, -2).clamp(*bounds)
         columns = _cut(layers, across.span, -1).clamp(*bounds)
@@ -215,8 +217,6 @@ def _strip(
     axis: Axis,
 ) -> Float[Tensor, "*batch layer c n along"]:
     """Return what a strip comes to: matrices across it, the filters of an axis along it."""
-    if serve(strip):
-        return strips.across_and_along(strip, matrices, axis.taps)
     count, thick, length = len(matrices), strip.shape[-2], strip.shape[-1]
     reach = 2 * axis.margin
     around = torch.cat([strip[..., length - reach :], strip, strip[..., :reach]], dim=-1)

@@ -112,11 +112,15 @@ def test_transforms_are_those_of_the_run_itself(field):
         torch.fft.irfft2(torch.fft.rfft2(values))
     with TransformRecorder() as again:
         recorder.again()()
-    assert len(recorder.transforms) == len(again.transforms) >= 2
+    assert len(recorder) == len(again) >= 2
+    assert not recorder.in_place
     with TransformRecorder() as run:
         views_to_panels(EightBitViews.of(field), DISPLAY, "fourier-admm", 3)
-    names = [func.overloadpacket.__name__ for func, _, _ in run.transforms]
-    assert names == 6 * ["_fft_c2c"]
+    with TransformRecorder() as again:
+        run.again()()
+    assert again.in_place == run.in_place
+    assert [each.back for each in run.in_place] == 3 * [False, True]
+    assert len(run) == 6
 
 
 @pytest.mark.parametrize("method", ["nmf", "fourier-admm"])

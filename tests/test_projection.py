@@ -12,9 +12,9 @@ from naive import traced_view, view
 from layerfield import DisparitySpec, Display, Geometry, PhysicalSpec
 from layerfield.band import GridBand, ViewsBand, band_of
 from layerfield.composition import compose_views
-from layerfield.frequencies import interleaved, inverse, multiply
+from layerfield.frequencies import fast_length, fast_width, interleaved, inverse, multiply
 from layerfield.geometry import grid_points
-from layerfield.gram import Gram, fast_length
+from layerfield.gram import Gram
 from layerfield.links import LINKS
 from layerfield.projection import Projection
 
@@ -198,7 +198,8 @@ def test_multiply_equals_einsum(grid):
 
 
 def test_fast_lengths():
-    assert [fast_length(n) for n in (1, 7, 11, 404, 844)] == [2, 8, 12, 420, 864]
+    assert [fast_length(n) for n in (1, 7, 11, 404, 844)] == [1, 7, 12, 405, 864]
+    assert [fast_width(n) for n in (1, 7, 11, 404, 1028)] == [2, 8, 12, 432, 1120]
 
 
 # Symmetries

@@ -16,27 +16,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.band import ANY, Bounds, band_of
-from layerfield.frequencies import Spectral, interleaved, multiply
+from layerfield.frequencies import Spectral, fast_length, fast_width, interleaved, multiply
 from layerfield.projection import Projection
-
-
-def fast_length(least: int) -> int:
-    """Return the smallest even number without prime factors over 7 that is at least `least`.
-
-    >>> fast_length(404)
-    420
-    """
-    length = least + least % 2
-    while not _is_smooth(length):
-        length += 2
-    return length
-
-
-def _is_smooth(number: int) -> bool:
-    for prime in (2, 3, 5, 7):
-        while number % prime == 0:
-            number //= prime
-    return number == 1
 
 
 def spectral_of(
@@ -74,7 +55,7 @@ class Gram:
         (height, width), (my, mx) = view_size, projection.margin
         self.layer_size = (height + 2 * my, width + 2 * mx)
         rows, columns = self.layer_size
-        self.torus = (rows if projection.is_horizontal else fast_length(rows), fast_length(columns))
+        self.torus = (rows if projection.is_horizontal else fast_length(rows), fast_width(columns))
         self._like = like
         self._band = band_of(projection, weights, view_size, self.torus)
 

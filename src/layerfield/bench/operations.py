@@ -12,6 +12,7 @@ from torch.utils._pytree import tree_leaves
 from torch.utils.flop_counter import flop_registry
 
 from layerfield.kernels.compiled import plain
+from layerfield.kernels.transforms import Transform, transform_, transforms_made
 
 _REAL, _COMPLEX = 1.0, 2.0  # operations of an element of the result, unless listed here
 _PER_ELEMENT = {"mul": (1, 6), "div": (1, 6), "addcmul": (2, 8), "addcdiv": (2, 8), "lerp": (2, 4)}
@@ -82,26 +83,46 @@ class OperationCounter(TorchDispatchMode):
 
 
 class TransformRecorder(TorchDispatchMode):
-    """Keeps the calls of Fourier transforms inside a `with`, those between compiled loops, too."""
+    """Keeps the Fourier transforms made inside a `with`: PyTorch's, and those in place past it.
+
+    Their number is its length.
+    """
 
     def __init__(self) -> None:
         super().__init__()
-        self.transforms: list[tuple[Any, _Array, tuple]] = []
+        self.in_place: list[Transform] = []
+        self._calls: list[tuple[Any, _Array, tuple]] = []
+        self._inside = ExitStack()
+
+    def __len__(self) -> int:
+        return len(self._calls) + len(self.in_place)
+
+    def __enter__(self) -> "TransformRecorder":
+        self.in_place = self._inside.enter_context(transforms_made())
+        return super().__enter__()
+
+    def __exit__(self, *why: Any) -> None:
+        super().__exit__(*why)
+        self._inside.close()
 
     def __torch_dispatch__(
         self, func: Any, types: Any, args: tuple = (), kwargs: dict | None = None
     ) -> Any:
         if func.overloadpacket.__name__ in _TRANSFORMS:
-            self.transforms.append((func, _Array.of(args[0]), args[1:]))
+            self._calls.append((func, _Array.of(args[0]), args[1:]))
         return func(*args, **(kwargs or {}))
 
     def again(self) -> Callable[[], None]:
         """Return what makes all Fourier transforms of the run again, and nothing else."""
-        arrays = {array: array.made() for _, array, _ in self.transforms}
+        arrays = {array: array.made() for _, array, _ in self._calls}
+        shapes = {each.shape for each in self.in_place}
+        values = {shape: torch.zeros(shape, dtype=torch.complex64) for shape in shapes}
 
         def transform() -> None:
-            for func, array, rest in self.transforms:
+            for func, array, rest in self._calls:
                 func.overloadpacket(arrays[array], *rest)
+            for shape, by_row, back in self.in_place:
+                transform_(values[shape], by_row=by_row, back=back)
 
         return transform
 

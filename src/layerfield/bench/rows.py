@@ -173,7 +173,7 @@ def measured(
 
 
 def _transforms(recorder: TransformRecorder, device: torch.device, effort: Effort) -> float | None:
-    if not recorder.transforms:
+    if not len(recorder):
         return None
     return timed(recorder.again(), device, repeats=effort.repeats)[0].median
 

@@ -6,10 +6,12 @@ one pixel. With E and O, the spectra of its even and of its odd columns,
     Z(fy, fx) = E + i O
     X(fy, fx) = E + w O,    X(fy, fx + W / 2) = E - w O,    w = exp(-2 pi i fx / W)
 
-X, the spectrum of the plane, follows from Z at opposite frequencies, and Z from X.
+X, the spectrum of the plane, follows from Z at opposite frequencies, and Z from X. Widths are even.
+Planes whose rows do not know of each other are transformed row by row: the frequencies of a row
+have their opposites in the row itself.
 """
 
-from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -20,9 +22,9 @@ from torch import Tensor
 
 from layerfield.kernels.compiled import compiled
 from layerfield.kernels.threads import in_spans
+from layerfield.kernels.transforms import transform_
 
 _HALF = np.float32(0.5)
-_LARGE = 1 << 17  # complex pixels of a plane from which on it is transformed by itself
 
 
 class Terms(NamedTuple):
@@ -34,6 +36,18 @@ class Terms(NamedTuple):
     kept: float = 0.0
 
 
+class LowPart(NamedTuple):
+    """What takes the place of low frequencies.
+
+    Args:
+        spectrum: as that of a smaller torus; its highest frequencies do not count.
+        window: shares of what is replaced.
+    """
+
+    spectrum: Complex[Tensor, "*batch fy fx"]
+    window: Float[Tensor, "fy fx"]
+
+
 class _Turns(NamedTuple):
     """Of w."""
 
@@ -41,86 +55,76 @@ class _Turns(NamedTuple):
     sin: np.ndarray
 
 
-def to_pixels(spectrum: Complex[Tensor, "*batch fy fx"]) -> Float[Tensor, "*batch ty tx"]:
-    """Return the planes of an even width with this spectrum, as `irfft2` does."""
-    half = spectrum.shape[-1] - 1
-    pairs = torch.empty(*spectrum.shape[:-1], half, dtype=spectrum.dtype)
-    seen, made, turns = _numbers(spectrum.contiguous()), _numbers(pairs), _turns(2 * half)
-
-    def task(begin: int, end: int) -> None:
-        _unite_pairs_of_rows(seen, made, turns, begin, end)
-
-    in_spans(task, spectrum.shape[-2] // 2 + 1, seen.size)
-    return torch.view_as_real(_transformed_(torch.fft.ifft2, pairs)).flatten(-2)
-
-
-def resolve_(
-    spectrum: Complex[Tensor, "*batch layer c fy fx"],
-    symbol: Float[Tensor, "layer layer sy fx"],
-    terms: Terms,
-) -> None:
-    """Multiply a spectrum, as of `rfft2`, by g (G + rho I)^-1 + k I, in place.
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """The spectrum of planes, as Z.
 
     Args:
-        spectrum: contiguous.
-        symbol: G(f); one row of it serves all rows of the spectrum.
-        terms: rho, b, g and k.
+        values: Z.
+        by_row: whether every row is transformed by itself.
     """
-    height, (number, channels, *_) = spectrum.shape[-2], spectrum.shape[-4:]
-    _expect(symbol, number, height, spectrum.shape[-1])
-    seen, matrices = _numbers(spectrum, number, channels), symbol.numpy()
-    known = Terms._make(map(np.float32, terms))
-    in_spans(lambda begin, end: _resolve_rows(seen, matrices, known, begin, end), height, seen.size)
+
+    values: Complex[Tensor, "*batch ty half"]
+    by_row: bool
+
+    @classmethod
+    def of(cls, planes: Float[Tensor, "*batch ty tx"], by_row: bool) -> "Pairs":
+        """Transform planes, which may be written on."""
+        pairs = torch.view_as_complex(planes.contiguous().unflatten(-1, (-1, 2)))
+        transform_(pairs, by_row=by_row)
+        return cls(pairs, by_row)
+
+    def planes(self) -> Float[Tensor, "*batch ty tx"]:
+        """Transform what was solved back, in place."""
+        transform_(self.values, by_row=self.by_row, back=True)
+        return torch.view_as_real(self.values).flatten(-2)
+
+    def solve_(
+        self,
+        symbol: Float[Tensor, "layer layer fy fx"],
+        terms: Terms,
+        low: LowPart | None = None,
+    ) -> None:
+        """Multiply X by g (G + rho I)^-1 + k I, and by what transforms leave out, in place.
+
+        Args:
+            symbol: G(f), of a single row where all are transformed by themselves; layers and their
+                channels are the batch.
+            terms: rho, b, g and k.
+            low: what takes the place of low frequencies afterwards.
+        """
+        number, channels, height, half = self.values.shape[-4:]
+        expected = (number, number, 1 if self.by_row else height, half + 1)
+        if symbol.shape != expected:  # compiled loops would go past the end of smaller arrays
+            raise ValueError(f"found matrices {tuple(symbol.shape)}, expected {expected}")
+        seen = _numbers(self.values, number, channels)
+        matrices, turns, by_row = symbol.numpy(), _turns(2 * half), self.by_row
+        factor = 1 / (half if by_row else height * half)
+        kept, gain = terms.kept * factor, terms.gain * factor
+        known = Terms._make(map(np.float32, terms._replace(gain=gain, kept=kept)))
+        if low is None:
+            other, window = seen[..., :0], np.zeros((0, 0), np.float32)
+        else:
+            other = _numbers(low.spectrum * factor, number, channels)
+            window = low.window.expand(other.shape[-2], -1).numpy()
+
+        def task(begin: int, end: int) -> None:
+            _solve_rows(seen, matrices, turns, known, other, window, by_row, begin, end)
+
+        in_spans(task, height if by_row else height // 2 + 1, seen.size)
+
+    def low(self, torus: tuple[int, int]) -> Complex[Tensor, "*batch fy fx"]:
+        """Return X of low frequencies as that of a smaller torus; its highest are 0."""
+        *batch, _, half = self.values.shape
+        result = self.values.new_zeros(*batch, torus[0], torus[1] // 2 + 1)
+        _read_low(_numbers(result), _numbers(self.values), _turns(2 * half), self.by_row)
+        return result
 
 
-def resolved_(
-    planes: Float[Tensor, "*batch layer c ty tx"],
-    symbol: Float[Tensor, "layer layer fy fx"],
-    terms: Terms,
-) -> Float[Tensor, "*batch layer c ty tx"]:
-    """Return g (G + rho I)^-1 + k I times planes of an even width, which may be written on.
-
-    Nothing but the planes is in memory, where they are large.
-    """
-    (number, channels, height, width) = planes.shape[-4:]
-    _expect(symbol, number, height, width // 2 + 1)
-    pairs = _transformed_(torch.fft.fft2, _pairs(planes))
-    known = Terms._make(map(np.float32, terms))
-    seen = _numbers(pairs, number, channels)
-    matrices, turns = symbol.numpy(), _turns(width)
-
-    def task(begin: int, end: int) -> None:
-        _resolve_pairs_of_rows(seen, matrices, turns, known, begin, end)
-
-    in_spans(task, height // 2 + 1, seen.size)
-    return torch.view_as_real(_transformed_(torch.fft.ifft2, pairs)).flatten(-2)
-
-
-def _expect(symbol: Tensor, number: int, height: int, columns: int) -> None:
-    """Compiled loops would go past the end of smaller arrays."""
-    rows = symbol.shape[-2]
-    expected = (number, number, rows if rows == 1 else height, columns)
-    if symbol.shape != expected:
-        raise ValueError(f"found matrices of shape {tuple(symbol.shape)}, expected {expected}")
-
-
-def _pairs(planes: Tensor) -> Tensor:
-    return torch.view_as_complex(planes.contiguous().unflatten(-1, (-1, 2)))
-
-
-def _transformed_(transform: Callable[..., Tensor], values: Tensor) -> Tensor:
-    """Large planes are written on, one by one: each stays in the cache for both directions."""
-    if values.shape[-2:].numel() < _LARGE:
-        return transform(values).contiguous()
-    for plane in values.flatten(end_dim=-3):
-        plane.copy_(transform(plane))
-    return values
-
-
-def _numbers(spectrum: Tensor, *by: int) -> np.ndarray:
+def _numbers(values: Tensor, *by: int) -> np.ndarray:
     """Return `[n, *by, y, 2 x]`."""
-    height, width = spectrum.shape[-2:]
-    return torch.view_as_real(spectrum).view(-1, *by, height, 2 * width).numpy()
+    height, width = values.shape[-2:]
+    return torch.view_as_real(values).view(-1, *by, height, 2 * width).numpy()
 
 
 @lru_cache(maxsize=16)
@@ -130,48 +134,7 @@ def _turns(width: int) -> _Turns:
 
 
 @compiled
-def _unite_pairs_of_rows(spectrum, pairs, turns, begin, end):
-    """Find Z from X, of rows and of those of the opposite frequencies."""
-    items, height, twice = pairs.shape
-    here, there = np.zeros((2, twice // 2), pairs.dtype), np.zeros((2, twice // 2), pairs.dtype)
-    value = np.zeros((4, twice // 2), pairs.dtype)
-    for item in range(items):
-        for y in range(begin, end):
-            other = spectrum[item, (height - y) % height]
-            _split(spectrum[item, y], value[0], value[1])
-            _split_back(other, value[2], value[3])
-            value[2, 0], value[3, 0] = other[twice], other[twice + 1]
-            _scale(value[3], np.float32(-1))
-            _unite(value, turns, here, there)
-            _join_back(there[0], there[1], pairs[item, (height - y) % height])
-            _join(here[0], here[1], pairs[item, y])
-
-
-@compiled
-def _resolve_rows(spectrum, symbol, terms, begin, end):
-    items, number, channels, _, twice = spectrum.shape
-    width = twice // 2
-    matrix = np.zeros((number, number, width), spectrum.dtype)
-    seen = np.zeros((2, number, width), spectrum.dtype)
-    value = np.zeros((2, width), spectrum.dtype)
-    for y in range(begin, end):
-        if y == begin or symbol.shape[2] > 1:
-            for k in range(number):
-                for m in range(k, number):
-                    _read(matrix[k, m], symbol[k, m, min(y, symbol.shape[2] - 1)])
-            _invert(matrix, terms, y == 0)
-        for item in range(items):
-            for channel in range(channels):
-                for k in range(number):
-                    _split(spectrum[item, k, channel, y], seen[0, k], seen[1, k])
-                for k in range(number):
-                    _multiply(matrix, seen[0], k, value[0])
-                    _multiply(matrix, seen[1], k, value[1])
-                    _join(value[0], value[1], spectrum[item, k, channel, y])
-
-
-@compiled
-def _resolve_pairs_of_rows(spectrum, symbol, turns, terms, begin, end):
+def _solve_rows(spectrum, symbol, turns, terms, other, window, by_row, begin, end):
     """Row y and that of the opposite frequencies say all of X at both."""
     items, number, channels, height, twice = spectrum.shape
     half = twice // 2
@@ -182,13 +145,15 @@ def _resolve_pairs_of_rows(spectrum, symbol, turns, terms, begin, end):
     seen = np.zeros((4, number, half), spectrum.dtype)  # X at fx, and at fx + W / 2
     value = np.zeros((4, half), spectrum.dtype)
     for y in range(begin, end):
-        opposite = (height - y) % height
-        for k in range(number):
-            for m in range(k, number):
-                _read(low[k, m], symbol[k, m, y])
-                _read_back(high[k, m], symbol[k, m, opposite])
-        _invert(low, terms, y == 0)
-        _invert(high, terms, False)
+        opposite = y if by_row else (height - y) % height
+        row, back, is_low = _small_rows(y, len(window), by_row)
+        if y == begin or not by_row:
+            for k in range(number):
+                for m in range(k, number):
+                    _read(low[k, m], symbol[k, m, 0 if by_row else y])
+                    _read_back(high[k, m], symbol[k, m, 0 if by_row else opposite])
+            _invert(low, terms, y == 0)
+            _invert(high, terms, False)
         for item in range(items):
             for channel in range(channels):
                 for k in range(number):
@@ -198,9 +163,60 @@ def _resolve_pairs_of_rows(spectrum, symbol, turns, terms, begin, end):
                 for k in range(number):
                     for part in range(4):
                         _multiply(low if part < 2 else high, seen[part], k, value[part])
+                    if is_low:
+                        _replace(value, other[item, k, channel], window, row, back)
                     _unite(value, turns, here, there)
                     _join_back(there[0], there[1], spectrum[item, k, channel, opposite])
                     _join(here[0], here[1], spectrum[item, k, channel, y])
+
+
+@compiled
+def _small_rows(y, height, by_row):
+    """Return where row y and its opposite lie on a smaller torus, and whether they do."""
+    if by_row:
+        return y, y, height > 0
+    return y, (height - y) % max(height, 1), y <= (height - 1) // 2
+
+
+@compiled
+def _replace(value, other, window, row, back):
+    """Frequency -fx is at W - fx: among the second half of X, conjugated."""
+    half, count = value.shape[1], window.shape[1] - 1  # without the highest
+    for x in range(count):
+        rest = 1 - window[row, x]
+        value[0, x] = rest * value[0, x] + other[row, 2 * x]
+        value[1, x] = rest * value[1, x] + other[row, 2 * x + 1]
+    for x in range(1, count):
+        rest = 1 - window[back, x]
+        value[2, half - x] = rest * value[2, half - x] + other[back, 2 * x]
+        value[3, half - x] = rest * value[3, half - x] - other[back, 2 * x + 1]
+
+
+@compiled
+def _read_low(result, spectrum, turns, by_row):
+    """Find X, but for the highest frequencies of the smaller torus."""
+    planes, height, twice = spectrum.shape
+    rows, half, count = result.shape[1], twice // 2, result.shape[2] // 2 - 1
+    for plane in range(planes):
+        for row in range(rows):
+            y = row if by_row or row <= (rows - 1) // 2 else height - rows + row
+            if by_row or row != rows - row:
+                here, there = (
+                    spectrum[plane, y],
+                    spectrum[plane, y if by_row else (height - y) % height],
+                )
+                for x in range(count):
+                    opposite = (half - x) % half
+                    zr, zi, yr, yi = (
+                        here[2 * x],
+                        here[2 * x + 1],
+                        there[2 * opposite],
+                        there[2 * opposite + 1],
+                    )
+                    er, ei = _HALF * (zr + yr), _HALF * (zi - yi)
+                    qr, qi = _HALF * (zi + yi), _HALF * (yr - zr)
+                    result[plane, row, 2 * x] = er + turns.cos[x] * qr + turns.sin[x] * qi
+                    result[plane, row, 2 * x + 1] = ei + turns.cos[x] * qi - turns.sin[x] * qr
 
 
 @compiled

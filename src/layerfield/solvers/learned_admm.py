@@ -2,15 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.frequencies import (
-    Spectral,
-    low_part,
-    replace_low_part_,
-)
+from layerfield.frequencies import Apart, Spectral
 from layerfield.kernels.blends import Shares, blended
 from layerfield.solve import Problem
 from layerfield.solvers.fourier_admm import AdmmState, FourierAdmm, right_hand_side
@@ -130,16 +127,14 @@ class LearnedAdmm:
         constants, spectral = self.full[0].among(problem.layer_count), problem.gram.spectral
         share = 1 / (spectral.weight * len(spectral.symbol))
         a, rho = constants.relaxation, constants.penalty * spectral.weight
-        seen = spectral.to_frequencies(right_hand_side(problem, shadow, Shares(0, 0, 1)))
-        coarser = coarse_grid(spectral) if self.coarse else None
-        low = None if coarser is None else low_part(seen, coarser)
+        data = right_hand_side(problem, shadow, Shares(0, 0, 1))
+        grid, apart = coarse_grid(spectral) if self.coarse else None, None
+        if grid is not None:
+            solve = partial(self._solved_coarsely, grid, bounds=problem.bounds)
+            apart = Apart(grid, solve)
         # z + a (x - z) with z = share b, u = 0
         gain, kept = a * (1 / rho + share), (1 - a) * share
-        spectrum = spectral.solved_frequencies(seen, constants.penalty, BALANCE, gain, kept)
-        if coarser is not None and low is not None:
-            solved = self._solved_coarsely(coarser, low, problem.bounds)
-            replace_low_part_(spectrum, solved, coarser)
-        return spectral.to_pixels(spectrum)
+        return spectral.solved_pixels(data, constants.penalty, BALANCE, gain, kept, apart)
 
     def _solved_coarsely(
         self, coarser: Spectral, seen: Tensor, bounds: tuple[float, float]

@@ -47,7 +47,7 @@ def test_larger_planes_are_refused():
 
 
 def test_derivatives_and_double_precision_are_left_to_pytorch(monkeypatch):
-    monkeypatch.setattr(blends, "in_spans", None)
+    monkeypatch.setattr(blends, "_blend", None)
     exact = blended(SHARES, values(2, 4, 5).double(), BOUNDS)
     shadow = values(2, 4, 5).requires_grad_()
     found = blended(SHARES, shadow, BOUNDS)

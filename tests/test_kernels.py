@@ -7,6 +7,7 @@ import time
 from dataclasses import replace
 
 import numba
+import numpy as np
 import pytest
 import torch
 from displays import SHOWN
@@ -147,15 +148,43 @@ def test_layers_of_another_size_are_refused():
         slope(problem, layers[..., 1:])
 
 
+@compiled.compiled
+def _count(visits, pair, begin, end):
+    for number in range(begin, end):
+        visits[number] += pair[0] + pair[1][0]
+
+
+@compiled.compiled
+def _ask_for_too_much(visits, begin, end):
+    visits[begin] = np.zeros(1 << 56)[0]
+
+
 @pytest.fixture(params=["PyTorch's", "our own", "one"])
 def some_threads(request, monkeypatch):
     torch.set_num_threads(1 if request.param == "one" else 3)
     if request.param == "our own":
-        monkeypatch.setattr(threads, "_openmp", lambda: None)
+        monkeypatch.setattr(compiled, "parallel_address", lambda: None)
+    elif threads.parallel_address() is None:
+        pytest.skip("PyTorch's threads are others here")
 
 
 @pytest.mark.usefixtures("some_threads")
+@pytest.mark.parametrize("count", [0, 1, 2, 13, 5000])
+@pytest.mark.parametrize("numbers", [0, 1 << 30])
+def test_spans_come_to_all_there_is(count, numbers):
+    visits = np.zeros(count)
+    _count.in_spans(visits, (1.0, np.ones(2)), count=count, numbers=numbers)
+    assert (visits == 2).all()
+
+
+@pytest.mark.usefixtures("some_threads")
+def test_loops_that_get_no_memory_say_so():
+    with pytest.raises(MemoryError):
+        _ask_for_too_much.in_spans(np.zeros(9), count=9, numbers=1 << 30)
+
+
 def test_every_task_is_done_once():
+    torch.set_num_threads(3)
     done: list[int] = []
     in_threads(done.append, 50)
     assert sorted(done) == list(range(50))
@@ -163,8 +192,8 @@ def test_every_task_is_done_once():
     assert len(done) == 50
 
 
-@pytest.mark.usefixtures("some_threads")
 def test_what_a_task_raises_is_raised():
+    torch.set_num_threads(3)
     begun: list[int] = []
 
     def task(number: int) -> None:
@@ -178,16 +207,16 @@ def test_what_a_task_raises_is_raised():
     assert len(begun) < 10
 
 
-def test_tasks_are_done_in_a_forked_process():
+def test_spans_come_to_all_in_a_forked_process():
     """It has none of the threads that its parent had."""
     torch.set_num_threads(3)
-    in_threads(lambda _: None, 5)
+    visits = np.zeros(50)
+    _count.in_spans(visits, (0.5, np.zeros(1)), count=50, numbers=1 << 30)
     child = os.fork()
     if child == 0:
         signal.alarm(20)
-        done: list[int] = []
-        in_threads(done.append, 50)
-        os._exit(0 if len(done) == 50 else 1)
+        _count.in_spans(visits, (0.5, np.zeros(1)), count=50, numbers=1 << 30)
+        os._exit(0 if (visits == 1).all() else 1)
     assert os.waitpid(child, 0)[1] == 0
 
 

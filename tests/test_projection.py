@@ -171,6 +171,25 @@ def test_the_band_of_a_grid_is_that_of_its_views(grid, depths, size):
     torch.testing.assert_close(found, expected, atol=1e-12, rtol=1e-12)
 
 
+@pytest.mark.parametrize("grid", [(2, 2), (3, 4)])
+@pytest.mark.parametrize("size", [(1, 2), (9, 14), (130, 90)])
+@pytest.mark.parametrize("depths", [(1.0, 0.0, -1.0), (0.6, -0.25), (0.0,)])
+def test_the_compiled_band_is_that_of_pytorch(grid, size, depths):
+    torch.set_num_threads(3)
+    geometry = Geometry(slopes=grid_points(grid), depths=depths)
+    projection, weights = projection_of(geometry), (0.5,) * math.prod(grid)
+    layers = random_layers(geometry, size, batch=(2,)).float()
+    gram = Gram(projection, weights, size, layers)
+    wide = torch.randn(*layers.shape[:-2], *gram.torus)
+    found, expected = torch.ones_like(wide), torch.ones_like(wide, dtype=torch.float64)
+    gram.add_band_(found, wide, 0.3, (-0.5, 0.8))
+    gram.add_band_(expected, wide.double(), 0.3, (-0.5, 0.8))
+    torch.testing.assert_close(found.double(), expected, atol=1e-4, rtol=1e-5)
+    beside = torch.ones_like(wide).mT.contiguous().mT
+    gram.add_band_(beside, wide.mT.contiguous().mT, 0.3, (-0.5, 0.8))
+    torch.testing.assert_close(beside, found, atol=1e-4, rtol=1e-5)
+
+
 def test_symbol_is_real_for_symmetric_viewpoints_only():
     grid = Geometry(slopes=grid_points((3, 3)), depths=(1.0, -0.5))
     assert not projection_of(grid).symbol((8, 8), [1.0] * 9).is_complex()

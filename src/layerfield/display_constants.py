@@ -28,10 +28,10 @@ def coverage_of(
 
 def even_shares_of(
     projection: Projection, weights: tuple[float, ...], view_size: tuple[int, int], like: Tensor
-) -> tuple[Float[Tensor, "layer 1 ly lx"], Float[Tensor, "layer 1 ly lx"]]:
-    """Return what A^T W L is multiplied by for the balanced start, 1 / (K A^T W 1), and the rest.
+) -> Float[Tensor, "layer 1 ly lx"]:
+    """Return what A^T W L is multiplied by for the balanced start, 1 / (K A^T W 1).
 
-    Where nobody looks that is 0, and the rest 1 / K of a mean: 0 elsewhere.
+    Where nobody looks that is 0.
     """
     return _even_shares(projection, weights, view_size, like.dtype, like.device)
 
@@ -78,9 +78,8 @@ def _even_shares(
     view_size: tuple[int, int],
     dtype: torch.dtype,
     device: torch.device,
-) -> tuple[Tensor, Tensor]:
+) -> Tensor:
     coverage = _coverage(projection, weights, view_size, dtype, device)
     with torch.inference_mode(False):
-        count, unseen = len(coverage), coverage <= 0
-        shares = 1 / (count * coverage.clamp(min=1e-6 * sum(weights)))
-        return shares.masked_fill_(unseen, 0), unseen.to(dtype) / count
+        shares = 1 / (len(coverage) * coverage.clamp(min=1e-6 * sum(weights)))
+        return shares.masked_fill_(coverage <= 0, 0)

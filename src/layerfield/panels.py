@@ -6,6 +6,8 @@ import torch
 from jaxtyping import Float, UInt
 from torch import Tensor
 
+from layerfield.kernels.codes import codes_of
+from layerfield.kernels.compiled import serve
 from layerfield.transfer import NONE, Transfer
 
 _DTYPES = {8: torch.uint8, 16: torch.uint16}
@@ -26,7 +28,10 @@ def quantise(
     layers: Float[Tensor, "*batch c y x"], bits: int, transfer: Transfer = NONE
 ) -> UInt[Tensor, "*batch c y x"]:
     """Round layers, light from 0 to 1, to the nearest codes of a panel."""
-    codes = transfer.encode(layers) * largest_code(bits)
+    values = transfer.encode(layers)
+    if serve(values):
+        return codes_of(values, largest_code(bits), _DTYPES[bits])
+    codes = values * largest_code(bits)
     return codes.round_().clamp_(0, largest_code(bits)).to(_DTYPES[bits])
 
 

@@ -22,7 +22,9 @@ from layerfield.display import Display
 from layerfield.display_constants import coverage_of, even_shares_of, gram_of
 from layerfield.gram import Gram
 from layerfield.kept_views import KeptViews
+from layerfield.kernels.compiled import serve
 from layerfield.kernels.light_paths import LightPaths
+from layerfield.kernels.starts import shared_start
 from layerfield.links import Additive, Link
 from layerfield.memory import keep_large_blocks
 from layerfield.pieces import Piece, pieces
@@ -159,17 +161,27 @@ class Problem:
             total += weight * residual.double().square().mean().item()
         return total / sum(self.weights)
 
-    def even_start(self) -> Float[Tensor, "*batch 1 layer c ly lx"]:
+    def even_start(
+        self, size: tuple[int, int] | None = None
+    ) -> Float[Tensor, "*batch 1 layer c ty tx"]:
         """Return the balanced start: every layer shows what its viewers see on average, shared.
 
         z_k = A_k^T W L / (A_k^T W 1) / K. Pixels that nobody sees take the mean of the views, which
         is that of the first layer's light over its coverage.
+
+        Args:
+            size: of a torus, on which the layers are, and 0 beside them.
         """
         seen = self.coverage[0].sum(dim=(-2, -1), keepdim=True)
-        mean = self.back_projected[..., :1, :, :, :].sum(dim=(-2, -1), keepdim=True) / seen
-        known = self.projection, self.weights, self.view_size, self.views.like
-        shares, rest = even_shares_of(*known)
-        return (self.back_projected * shares).addcmul_(mean, rest)
+        rest = self.back_projected[..., :1, :, :, :].sum(dim=(-2, -1), keepdim=True)
+        rest = rest / (seen * self.layer_count)
+        shares = even_shares_of(self.projection, self.weights, self.view_size, self.views.like)
+        height, width = self.layer_shape[-2:]
+        ty, tx = size or (height, width)
+        if serve(self.back_projected):
+            return shared_start(self.back_projected, shares, rest, (ty, tx))
+        start = torch.where(shares > 0, self.back_projected * shares, rest)
+        return torch.nn.functional.pad(start, (0, tx - width, 0, ty - height))
 
     def flat_start(self, apart: float = APART) -> Float[Tensor, "*batch subframe layer c ly lx"]:
         """Return the classical start: constant layers that together show the mean of the views.

@@ -9,7 +9,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.kernels.compiled import compiled, serve
-from layerfield.kernels.threads import in_spans
 
 _NONE = np.zeros((0, 0, 0), np.float32)
 
@@ -48,10 +47,8 @@ def blended(
     added = _NONE if other is None else _planes(other.expand(*batch, -1, -1).contiguous())
     single, (low, high) = Shares._make(map(np.float32, shares)), map(np.float32, bounds)
 
-    def task(begin: int, end: int) -> None:
-        _blend(planes, seen, added, single, low, high, onto is None, begin, end)
-
-    in_spans(task, len(planes) * height, planes.size)
+    given = (planes, seen, added, single, low, high, onto is None)
+    _blend.in_spans(*given, count=len(planes) * height, numbers=planes.size)
     return result
 
 

@@ -10,7 +10,6 @@ from jaxtyping import Float, Num
 from torch import Tensor
 
 from layerfield.kernels.compiled import compiled, is_plain
-from layerfield.kernels.threads import in_spans
 
 
 def serve(codes: Tensor) -> bool:
@@ -39,10 +38,8 @@ def code_sums(
     seen = codes.contiguous().view(-1, *codes.shape[-4:]).numpy()
     made, held = result.view(-1, *result.shape[-4:]).numpy(), torch.zeros(1, dtype=dtype).numpy()
 
-    def task(begin: int, end: int) -> None:
-        _add_rows(made, seen, offsets, held, unit, begin, end)
-
-    in_spans(task, len(made) * channels * layer_size[0], seen.size)
+    count = len(made) * channels * layer_size[0]
+    _add_rows.in_spans(made, seen, offsets, held, unit, count=count, numbers=seen.size)
     return result
 
 

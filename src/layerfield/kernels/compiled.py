@@ -1,5 +1,6 @@
 """Functions compiled by Numba when they are first called, and kept on disk for the next process."""
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -11,11 +12,16 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from layerfield.kernels.regions import region_of
+from layerfield.kernels.threads import in_threads, parallel_address
+
 # As C compilers have it: sums may be reordered, and nothing infinite comes in.
 _FREE = {"contract", "reassoc", "nsz", "arcp", "nnan", "ninf"}
 # Loops that are functions of their own are put where they are called: calls cost as much as rows.
 _OPTIONS = {"nogil": True, "inline": "always", "fastmath": _FREE, "error_model": "numpy"}
 _SINGLE = (torch.float32, torch.complex64)
+_SPANS = 4  # for every thread: who is held up by others leaves some
+_FEW = 1 << 16
 _PLAIN = ContextVar("plain", default=False)
 
 
@@ -57,17 +63,50 @@ class compiled:  # noqa: N801 - a decorator
         """Return what the function does."""
         return self.dispatcher(*arguments)
 
+    def in_spans(self, *arguments: Any, count: int, numbers: int) -> None:
+        """Call the function for spans that come to 0 .. count, a few for every thread.
+
+        Whoever is free takes the next one, so that a thread whose core others use holds nobody up.
+        What is done for one of them must not depend on how they are divided.
+
+        Args:
+            arguments: all but the last two, which are from where and to where.
+            count: of what is divided.
+            numbers: that are gone over in all. Where they are few, threads cost more than they
+                bring.
+
+        Raises:
+            MemoryError: there was none for what the function keeps to itself.
+        """
+        threads = torch.get_num_threads()
+        if numbers < _FEW or threads == 1 or count < 2:
+            self(*arguments, 0, count)
+            return
+        length = math.ceil(count / (_SPANS * threads))
+        if (address := parallel_address()) is None:
+            spans = math.ceil(count / length)
+            in_threads(lambda n: self(*arguments, n * length, min(count, (n + 1) * length)), spans)
+        elif self._region(arguments, count, length, threads, address):
+            raise MemoryError("there is not enough memory for a compiled loop")
+
     @cached_property
     def dispatcher(self) -> Callable[..., Any]:
         """Numba's own."""
-        import numba  # noqa: PLC0415
-
         code, known = self._function.__code__, {**self._function.__globals__}
         for name in code.co_names:
             if isinstance(each := known.get(name), compiled):
                 known[name] = each.dispatcher
-        function = FunctionType(code, known, self._function.__name__)
-        try:
-            return numba.njit(function, cache=True, **_OPTIONS)  # pyright: ignore[reportReturnType]
-        except RuntimeError:  # neither beside the source nor in the user's cache can it be kept
-            return numba.njit(function, **_OPTIONS)  # pyright: ignore[reportReturnType]
+        return _kept(FunctionType(code, known, self._function.__name__), **_OPTIONS)
+
+    @cached_property
+    def _region(self) -> Callable[..., int]:
+        return _kept(region_of(self._function, self.dispatcher), nogil=True)
+
+
+def _kept(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
+    import numba  # noqa: PLC0415
+
+    try:
+        return numba.njit(function, cache=True, **options)  # pyright: ignore[reportReturnType]
+    except RuntimeError:  # neither beside the source nor in the user's cache can it be kept
+        return numba.njit(function, **options)  # pyright: ignore[reportReturnType]

@@ -11,7 +11,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +20,6 @@ from torch import Tensor
 
 from layerfield.kept_views import LARGEST, KeptViews
 from layerfield.kernels.compiled import compiled, is_plain
-from layerfield.kernels.threads import in_threads
 from layerfield.links import Additive, Link, Multiplicative
 from layerfield.projection import Projection
 
@@ -150,12 +148,9 @@ class LightPaths:
             0 if error is None else every,
         )
         for parity in (0, 1):  # bands side by side add to the same rows of the layers
-            mine = list(product(range(batch), range(channels), range(parity, bands, 2)))
-
-            def task(number: int, mine: list[tuple[int, int, int]] = mine) -> None:
-                _add_band(seen, views, taps, sums, law, rows, mine[number])
-
-            in_threads(task, len(mine))
+            count = batch * channels * len(range(parity, bands, 2))
+            given = (seen, views, taps, sums, law, rows, parity)
+            _add_bands.in_spans(*given, count=count, numbers=views.stored.size)
         if error is not None:
             error += torch.from_numpy(sums.errors.sum(axis=(1, 2))).to(error).view(error.shape)
 
@@ -199,6 +194,17 @@ def _taps(projection: Projection) -> _Taps:
             for n, (top, left, weight) in enumerate(taps):
                 found.top[i, k, n], found.left[i, k, n], found.weight[i, k, n] = top, left, weight
     return found
+
+
+@compiled
+def _add_bands(layers, views, taps, sums, law, rows, parity, begin, end):
+    """Every second band of all channels, one after the other, from and to."""
+    channels, bands = sums.errors.shape[1:]
+    mine = (bands + 1 - parity) // 2
+    for number in range(begin, end):
+        before, band = divmod(number, mine)
+        item, channel = divmod(before, channels)
+        _add_band(layers, views, taps, sums, law, rows, (item, channel, parity + 2 * band))
 
 
 @compiled

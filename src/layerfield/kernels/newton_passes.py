@@ -3,6 +3,7 @@
 Layers lie in the top left corner of the torus; see `NewtonAdmm`.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +12,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.kernels.compiled import compiled, serve
-from layerfield.kernels.threads import in_spans
 
 Layers = Float[Tensor, "*batch 1 layer c ly lx"]
 Torus = Float[Tensor, "*batch 1 layer c ty tx"]
@@ -63,10 +63,8 @@ def before(
     known, is_first = Before._make(map(np.float32, terms)), scale_before is None
     last = seen[3] if scale_before is None else _planes(scale_before)
 
-    def task(begin: int, end: int) -> None:
-        _before(*seen, last, known, is_first, begin, end)
-
-    in_spans(task, seen[0].shape[0] * torus[0], seen[0].size)
+    count, numbers = seen[0].shape[0] * torus[0], seen[0].size
+    _before.in_spans(*seen, last, known, is_first, count=count, numbers=numbers)
     return right, slope
 
 
@@ -94,10 +92,8 @@ def behind(
     shares = boldness.expand(*shadow.shape[:-2], 1, 1).flatten().numpy()
     known, ago = Behind._make(map(np.float32, terms)), seen[1] if last is None else _planes(last)
 
-    def task(begin: int, end: int) -> None:
-        _behind(*seen, ago, shares, known, begin, end)
-
-    in_spans(task, seen[0].shape[0] * seen[0].shape[1], seen[0].size)
+    count, numbers = math.prod(seen[0].shape[:2]), seen[0].size
+    _behind.in_spans(*seen, ago, shares, known, count=count, numbers=numbers)
     return dual
 
 

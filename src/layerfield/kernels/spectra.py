@@ -11,6 +11,7 @@ Planes whose rows do not know of each other are transformed row by row: the freq
 have their opposites in the row itself.
 """
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -21,7 +22,6 @@ from jaxtyping import Complex, Float
 from torch import Tensor
 
 from layerfield.kernels.compiled import compiled
-from layerfield.kernels.threads import in_spans
 from layerfield.kernels.transforms import transform_
 
 _HALF = np.float32(0.5)
@@ -98,8 +98,7 @@ class Pairs:
         if symbol.shape != expected:  # compiled loops would go past the end of smaller arrays
             raise ValueError(f"found matrices {tuple(symbol.shape)}, expected {expected}")
         seen = _numbers(self.values, number, channels)
-        matrices, turns, by_row = symbol.numpy(), _turns(2 * half), self.by_row
-        factor = 1 / (half if by_row else height * half)
+        factor = 1 / (half if self.by_row else height * half)
         kept, gain = terms.kept * factor, terms.gain * factor
         known = Terms._make(map(np.float32, terms._replace(gain=gain, kept=kept)))
         if low is None:
@@ -108,16 +107,16 @@ class Pairs:
             other = _numbers(low.spectrum * factor, number, channels)
             window = low.window.expand(other.shape[-2], -1).numpy()
 
-        def task(begin: int, end: int) -> None:
-            _solve_rows(seen, matrices, turns, known, other, window, by_row, begin, end)
-
-        in_spans(task, height if by_row else height // 2 + 1, seen.size)
+        rows = height if self.by_row else height // 2 + 1
+        given = (seen, symbol.numpy(), _turns(2 * half), known, other, window, self.by_row)
+        _solve_rows.in_spans(*given, count=rows, numbers=seen.size)
 
     def low(self, torus: tuple[int, int]) -> Complex[Tensor, "*batch fy fx"]:
-        """Return X of low frequencies as that of a smaller torus; its highest are 0."""
+        """Return X of low frequencies, as that of a smaller torus; its highest are 0."""
         *batch, _, half = self.values.shape
         result = self.values.new_zeros(*batch, torus[0], torus[1] // 2 + 1)
-        _read_low(_numbers(result), _numbers(self.values), _turns(2 * half), self.by_row)
+        made, given = _numbers(result), (_numbers(self.values), _turns(2 * half), self.by_row)
+        _read_low.in_spans(made, *given, count=math.prod(made.shape[:2]), numbers=made.size)
         return result
 
 
@@ -193,30 +192,30 @@ def _replace(value, other, window, row, back):
 
 
 @compiled
-def _read_low(result, spectrum, turns, by_row):
-    """Find X, but for the highest frequencies of the smaller torus."""
-    planes, height, twice = spectrum.shape
-    rows, half, count = result.shape[1], twice // 2, result.shape[2] // 2 - 1
-    for plane in range(planes):
-        for row in range(rows):
-            y = row if by_row or row <= (rows - 1) // 2 else height - rows + row
-            if by_row or row != rows - row:
-                here, there = (
-                    spectrum[plane, y],
-                    spectrum[plane, y if by_row else (height - y) % height],
-                )
-                for x in range(count):
-                    opposite = (half - x) % half
-                    zr, zi, yr, yi = (
-                        here[2 * x],
-                        here[2 * x + 1],
-                        there[2 * opposite],
-                        there[2 * opposite + 1],
-                    )
-                    er, ei = _HALF * (zr + yr), _HALF * (zi - yi)
-                    qr, qi = _HALF * (zi + yi), _HALF * (yr - zr)
-                    result[plane, row, 2 * x] = er + turns.cos[x] * qr + turns.sin[x] * qi
-                    result[plane, row, 2 * x + 1] = ei + turns.cos[x] * qi - turns.sin[x] * qr
+def _read_low(result, spectrum, turns, by_row, begin, end):
+    """Rows of all planes, from and to, but for the highest frequencies of the smaller torus."""
+    height, rows = spectrum.shape[1], result.shape[1]
+    for number in range(begin, end):
+        plane, row = divmod(number, rows)
+        if by_row:
+            _read_row(result[plane, row], spectrum[plane, row], spectrum[plane, row], turns)
+        elif 2 * row != rows:
+            y = row if 2 * row < rows else height - rows + row
+            other = spectrum[plane, (height - y) % height]
+            _read_row(result[plane, row], spectrum[plane, y], other, turns)
+
+
+@compiled
+def _read_row(result, here, there, turns):
+    half = len(here) // 2
+    for x in range(len(result) // 2 - 1):
+        opposite = half - x if x > 0 else 0
+        zr, zi = here[2 * x], here[2 * x + 1]
+        yr, yi = there[2 * opposite], there[2 * opposite + 1]
+        er, ei = _HALF * (zr + yr), _HALF * (zi - yi)
+        qr, qi = _HALF * (zi + yi), _HALF * (yr - zr)
+        result[2 * x] = er + turns.cos[x] * qr + turns.sin[x] * qi
+        result[2 * x + 1] = ei + turns.cos[x] * qi - turns.sin[x] * qr
 
 
 @compiled

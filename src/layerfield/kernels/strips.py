@@ -10,7 +10,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.kernels.compiled import compiled
-from layerfield.kernels.threads import in_spans
 
 
 class Side(NamedTuple):
@@ -55,14 +54,11 @@ def add_band_(
     made, seen = result.view(-1, *by).numpy(), layers.contiguous().view(-1, *by).numpy()
     (down, across), share = sides, np.float32(factor)
     low, high = np.float32(bounds[0]), np.float32(bounds[1])
-
-    def task(begin: int, end: int) -> None:
-        _add_band(made, seen, down, across, share, low, high, begin, end)
-
     number, channels, height, width = by
     pixels = down.matrix.shape[-1] * width + across.matrix.shape[-1] * height
     count = len(made) * channels * number
-    in_spans(task, count, count * number * down.offset.shape[-1] * pixels)
+    numbers = count * number * down.offset.shape[-1] * pixels
+    _add_band.in_spans(made, seen, down, across, share, low, high, count=count, numbers=numbers)
 
 
 @compiled

@@ -69,7 +69,7 @@ def transform_(
     if (made := _MADE.get()) is not None:
         made.append(Transform((*values.shape,), by_row, back))
     planes = values.view(-1, *values.shape[-2:])
-    for some in planes.split(1 if planes[0].numel() >= _LARGE else max(1, len(planes))):
+    for some in planes.split(1) if planes[0].numel() >= _LARGE else (planes,):
         if _library() is None:
             norm = "forward" if back else "backward"
             some.copy_(_TORCH[by_row, back](some, norm=norm))

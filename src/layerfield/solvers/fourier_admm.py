@@ -53,11 +53,11 @@ class FourierAdmm:
     def init(self, problem: Problem, start: AdmmState | Tensor | None) -> AdmmState:
         if isinstance(start, AdmmState):
             return start
-        penalty = self.penalty if start is None else self.warm_penalty
-        shadow = problem.gram.to_torus(problem.even_start() if start is None else start)
-        if start is not None:
-            shadow = shadow + _dual(problem, shadow, sum(problem.weights) * penalty)
-        return AdmmState(shadow, penalty)
+        if start is None:
+            return AdmmState(problem.even_start(problem.gram.torus), self.penalty)
+        shadow = problem.gram.to_torus(start)
+        dual = _dual(problem, shadow, sum(problem.weights) * self.warm_penalty)
+        return AdmmState(shadow + dual, self.warm_penalty)
 
     def step(self, problem: Problem, state: AdmmState) -> AdmmState:
         moved = self._solved(problem, state, self.relaxation)

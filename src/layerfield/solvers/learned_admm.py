@@ -97,7 +97,7 @@ class LearnedAdmm:
 
     def init(self, problem: Problem, start: LearnedState | Tensor | None) -> LearnedState:
         if start is None:
-            return LearnedState(problem.gram.to_torus(problem.even_start()))
+            return LearnedState(problem.even_start(problem.gram.torus))
         if isinstance(start, LearnedState):
             return start if start.after else self._handed_on(problem, self.layers(problem, start))
         return self._handed_on(problem, start)

@@ -91,10 +91,10 @@ class TiledAdmm(FourierAdmm):
         ]
         rows, columns = map(_spans, whole, size, reach)
         if start is None:
-            shadow = problem.even_start()
+            shadow = problem.even_start(gram.torus)
         else:
-            shadow = start + _dual(problem, start, penalty * sum(weights))
-        return TiledState(gram.to_torus(shadow), penalty, tile, rows, columns)
+            shadow = gram.to_torus(start + _dual(problem, start, penalty * sum(weights)))
+        return TiledState(shadow, penalty, tile, rows, columns)
 
     def step(self, problem: Problem, state: AdmmState) -> AdmmState:
         assert isinstance(state, TiledState)

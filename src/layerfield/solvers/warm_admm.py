@@ -32,7 +32,9 @@ class WarmAdmm:
     def init(self, problem: Problem, start: LearnedState | Tensor | None) -> LearnedState:
         if isinstance(start, LearnedState):
             return start
-        return LearnedState(problem.gram.to_torus(problem.even_start() if start is None else start))
+        torus = problem.gram.torus
+        known = problem.even_start(torus) if start is None else problem.gram.to_torus(start)
+        return LearnedState(known)
 
     def step(self, problem: Problem, state: LearnedState) -> LearnedState:
         constants = self.full[min(state.count, len(self.full) - 1)].among(problem.layer_count)

@@ -81,7 +81,7 @@ class LearnedSteps(nn.Module):
         gram, bounds = problem.gram, problem.bounds
         real = _real(self.full), _real(self.coarse, _SOFTEST)
         full, coarse = (_among(problem.layer_count, rows) for rows in real)
-        data = _completed(problem, gram.to_torus(problem.even_start()))
+        data = _completed(problem, problem.even_start(gram.torus))
         shadow = _first(gram.spectral, data, full[0], coarse, bounds)
         return gram.from_torus(_steps(problem, shadow, full[1:])).clamp(*bounds)
 

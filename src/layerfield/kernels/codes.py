@@ -1,0 +1,37 @@
+"""Layers rounded to the codes of a panel, in one pass."""
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt
+from torch import Tensor
+
+from layerfield.kernels.compiled import compiled
+
+
+def codes_of(
+    values: Float[Tensor, "*shape"], largest: int, dtype: torch.dtype
+) -> UInt[Tensor, "*shape"]:
+    """Return the nearest codes of values from 0 to 1, of single precision on a processor.
+
+    Args:
+        values: those beyond are shown as the nearest code.
+        largest: code of 1.
+        dtype: of the codes.
+    """
+    codes = torch.empty(values.shape, dtype=dtype)
+    seen, made, most = (
+        values.contiguous().view(-1).numpy(),
+        codes.view(-1).numpy(),
+        np.float32(largest),
+    )
+
+    _round.in_spans(made, seen, most, count=len(seen), numbers=len(seen))
+    return codes
+
+
+@compiled
+def _round(codes, values, largest, begin, end):
+    """Halves go to even numbers, as PyTorch has it."""
+    seen, made = values[begin:end], codes[begin:end]
+    for x in range(len(made)):
+        made[x] = np.int32(round(min(max(seen[x], np.float32(0)), np.float32(1)) * largest))

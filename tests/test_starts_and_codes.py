@@ -1,0 +1,46 @@
+"""What is at both ends of a solver, compiled: the balanced start and the codes of panels."""
+
+import pytest
+import torch
+
+from layerfield import Display, Problem
+from layerfield.display_spec import parse_spec
+from layerfield.kernels.compiled import plain
+from layerfield.kernels.starts import shared_start
+from layerfield.panels import quantise
+
+
+@pytest.mark.parametrize("torus", [None, (40, 48)])
+@pytest.mark.parametrize("batch", [(), (2, 3)])
+def test_balanced_starts_are_those_of_pytorch(batch, torus):
+    """A corner of the first layer is seen by nobody: viewpoints are not a grid."""
+    viewpoints = "viewpoints = [[0, 0], [1, 1], [2, 2]]"
+    text = f'name = "d"\nlink = "additive"\n{viewpoints}\ndisparity = [3, 0, -1]'
+    display = Display(parse_spec(text, "a test"))
+    problem = Problem.of(display, torch.rand(*batch, 3, 2, 20, 24))
+    assert (problem.coverage == 0).any()
+    with plain():
+        expected = problem.even_start(torus)
+    found = problem.even_start(torus)
+    assert found.shape[-2:] == (torus or problem.layer_shape[-2:])
+    torch.testing.assert_close(found, expected, rtol=0, atol=1e-6)
+
+
+def test_smaller_tori_are_refused():
+    seen, shares, rest = torch.rand(3, 2, 5, 6), torch.rand(3, 1, 5, 6), torch.rand(1, 2, 1, 1)
+    with pytest.raises(ValueError, match=r"found .* a torus \(4, 6\), expected"):
+        shared_start(seen, shares, rest, (4, 6))
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("shape", [(3, 1, 7, 9), (1, 3, 400, 500)])
+def test_codes_are_those_of_pytorch(bits, shape):
+    """Halves go to even codes, what is beyond black and white to those."""
+    torch.set_num_threads(3)
+    layers = torch.rand(shape) * 1.4 - 0.2
+    layers.view(-1)[:20] = (torch.arange(20) + 0.5) / (2**bits - 1)
+    with plain():
+        expected = quantise(layers, bits)
+    assert quantise(layers, bits).equal(expected)
+    turned = layers.transpose(-1, -2)
+    assert quantise(turned, bits).equal(expected.transpose(-1, -2))

@@ -33,10 +33,10 @@ def fast_length(least: int) -> int:
 
 
 def fast_width(least: int) -> int:
-    """Return such a number that is even, most often a multiple of 16.
+    """Return such a number that is even, or a multiple of 16 if there is one next to it.
 
-    Rows then begin with cache lines, and transforms of both directions take a quarter less time; a
-    tenth more pixels would take that back.
+    Rows then begin with cache lines, and transforms of both directions take a quarter less time: as
+    much as what else is done with a thirtieth more pixels.
 
     >>> fast_width(404), fast_width(17)
     (432, 18)
@@ -45,7 +45,7 @@ def fast_width(least: int) -> int:
         next(n for n in count(step * math.ceil(max(1, least) / step), step) if _is_smooth(n))
         for step in (2, 16)
     )
-    return aligned if aligned <= 1.1 * even else even
+    return aligned if aligned <= 1.03 * even else even
 
 
 def _is_smooth(number: int) -> bool:

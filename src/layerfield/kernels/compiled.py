@@ -12,7 +12,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from layerfield.kernels.regions import region_of
 from layerfield.kernels.threads import in_threads, parallel_address
 
 # As C compilers have it: sums may be reordered, and nothing infinite comes in.
@@ -100,6 +99,8 @@ class compiled:  # noqa: N801 - a decorator
 
     @cached_property
     def _region(self) -> Callable[..., int]:
+        from layerfield.kernels.regions import region_of  # noqa: PLC0415
+
         return _kept(region_of(self._function, self.dispatcher), nogil=True)
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from typing import Any, NamedTuple
 
 import torch
@@ -36,7 +36,28 @@ class _Array(NamedTuple):
         return torch.ones(self.shape, dtype=self.dtype, device=self.device)
 
 
-class OperationCounter(TorchDispatchMode):
+class _Watcher(TorchDispatchMode):
+    """Watches what PyTorch is asked for inside a `with`, and enters another one for it.
+
+    Args:
+        around: makes the other; what it gives is `entered`.
+    """
+
+    def __init__(self, around: Callable[[], AbstractContextManager[Any]]) -> None:
+        super().__init__()
+        self.entered: Any = None
+        self._around, self._inside = around, ExitStack()
+
+    def __enter__(self) -> Any:
+        self.entered = self._inside.enter_context(self._around())
+        return super().__enter__()
+
+    def __exit__(self, *why: Any) -> None:
+        super().__exit__(*why)
+        self._inside.close()
+
+
+class OperationCounter(_Watcher):
     """Counts additions, multiplications and function values inside a `with`.
 
         convolutions, matrix products    2 for every multiply-add (PyTorch's own formulas)
@@ -51,17 +72,8 @@ class OperationCounter(TorchDispatchMode):
     """
 
     def __init__(self) -> None:
-        super().__init__()
+        super().__init__(plain)
         self.operations = 0.0
-        self._inside = ExitStack()
-
-    def __enter__(self) -> "OperationCounter":
-        self._inside.enter_context(plain())
-        return super().__enter__()
-
-    def __exit__(self, *why: Any) -> None:
-        super().__exit__(*why)
-        self._inside.close()
 
     def __torch_dispatch__(
         self, func: Any, types: Any, args: tuple = (), kwargs: dict | None = None
@@ -82,28 +94,23 @@ class OperationCounter(TorchDispatchMode):
             self.operations += _of_elements(name, kwargs, made)
 
 
-class TransformRecorder(TorchDispatchMode):
+class TransformRecorder(_Watcher):
     """Keeps the Fourier transforms made inside a `with`: PyTorch's, and those in place past it.
 
     Their number is its length.
     """
 
     def __init__(self) -> None:
-        super().__init__()
-        self.in_place: list[Transform] = []
+        super().__init__(transforms_made)
         self._calls: list[tuple[Any, _Array, tuple]] = []
-        self._inside = ExitStack()
 
     def __len__(self) -> int:
         return len(self._calls) + len(self.in_place)
 
-    def __enter__(self) -> "TransformRecorder":
-        self.in_place = self._inside.enter_context(transforms_made())
-        return super().__enter__()
-
-    def __exit__(self, *why: Any) -> None:
-        super().__exit__(*why)
-        self._inside.close()
+    @property
+    def in_place(self) -> list[Transform]:
+        """Those past PyTorch."""
+        return self.entered
 
     def __torch_dispatch__(
         self, func: Any, types: Any, args: tuple = (), kwargs: dict | None = None

@@ -44,3 +44,12 @@ def test_codes_are_those_of_pytorch(bits, shape):
     assert quantise(layers, bits).equal(expected)
     turned = layers.transpose(-1, -2)
     assert quantise(turned, bits).equal(expected.transpose(-1, -2))
+
+
+def test_what_asks_for_derivatives_is_served_where_none_are_kept():
+    seen, shares, rest = torch.rand(3, 2, 5, 6), torch.rand(3, 1, 5, 6), torch.rand(1, 2, 1, 1)
+    with torch.no_grad():
+        start = shared_start(seen.requires_grad_(), shares, rest, (8, 8))
+        codes = quantise(seen, 8)
+    assert not start.requires_grad
+    assert codes.equal(quantise(seen.detach(), 8))

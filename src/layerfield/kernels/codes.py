@@ -19,13 +19,8 @@ def codes_of(
         dtype: of the codes.
     """
     codes = torch.empty(values.shape, dtype=dtype)
-    seen, made, most = (
-        values.contiguous().view(-1).numpy(),
-        codes.view(-1).numpy(),
-        np.float32(largest),
-    )
-
-    _round.in_spans(made, seen, most, count=len(seen), numbers=len(seen))
+    seen, made = (each.contiguous().view(-1).numpy() for each in (values.detach(), codes))
+    _round.in_spans(made, seen, np.float32(largest), count=len(seen), numbers=len(seen))
     return codes
 
 

@@ -70,7 +70,7 @@ class Pairs:
     @classmethod
     def of(cls, planes: Float[Tensor, "*batch ty tx"], by_row: bool) -> "Pairs":
         """Transform planes, which may be written on."""
-        pairs = torch.view_as_complex(planes.contiguous().unflatten(-1, (-1, 2)))
+        pairs = torch.view_as_complex(planes.detach().contiguous().unflatten(-1, (-1, 2)))
         transform_(pairs, by_row=by_row)
         return cls(pairs, by_row)
 
@@ -106,7 +106,6 @@ class Pairs:
         else:
             other = _numbers(low.spectrum * factor, number, channels)
             window = low.window.expand(other.shape[-2], -1).numpy()
-
         rows = height if self.by_row else height // 2 + 1
         given = (seen, symbol.numpy(), _turns(2 * half), known, other, window, self.by_row)
         _solve_rows.in_spans(*given, count=rows, numbers=seen.size)

@@ -26,10 +26,10 @@ def shared_start(
         found = f"shares {tuple(shares.shape)} and a torus {size}"
         raise ValueError(f"found {found}, expected {(number, 1, height, width)} and no smaller one")
     result = torch.empty(*batch, number, channels, *size)
-    made, known = (each.contiguous().view(-1, *each.shape[-2:]).numpy() for each in (result, seen))
+    planes = (each.detach().contiguous().flatten(end_dim=-3) for each in (result, seen))
+    made, known = (each.numpy() for each in planes)
     parts = shares.contiguous().view(number, height, width).numpy()
-    others = rest.expand(*batch, 1, channels, 1, 1).contiguous().view(-1, channels).numpy()
-
+    others = rest.detach().expand(*batch, 1, channels, 1, 1).contiguous().view(-1, channels).numpy()
     count, numbers = len(made) * size[0], made.size
     _share.in_spans(made, known, parts, others, count=count, numbers=numbers)
     return result

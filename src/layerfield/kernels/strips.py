@@ -51,7 +51,7 @@ def add_band_(
     if layers.shape != result.shape:
         raise ValueError(f"found layers {tuple(layers.shape)}, expected {tuple(result.shape)}")
     by = result.shape[-4:]
-    made, seen = result.view(-1, *by).numpy(), layers.contiguous().view(-1, *by).numpy()
+    made, seen = result.view(-1, *by).numpy(), layers.detach().contiguous().view(-1, *by).numpy()
     (down, across), share = sides, np.float32(factor)
     low, high = np.float32(bounds[0]), np.float32(bounds[1])
     number, channels, height, width = by

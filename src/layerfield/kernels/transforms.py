@@ -87,17 +87,17 @@ class _Plan:
         there = ctypes.byref(self._handle)
         if by_row:
             count, points = count * height, width
-            failed = library.DftiCreateDescriptor_s_1d(there, _COMPLEX, _long(width))
+            failed = library.DftiCreateDescriptor_s_1d(there, _COMPLEX, ctypes.c_long(width))
         else:
             points, lengths = height * width, (ctypes.c_long * 2)(height, width)
-            failed = library.DftiCreateDescriptor_s_md(there, _COMPLEX, _long(2), lengths)
+            failed = library.DftiCreateDescriptor_s_md(there, _COMPLEX, ctypes.c_long(2), lengths)
         weakref.finalize(self, library.DftiFreeDescriptor, there)
         for name, value in (
             (_COUNT, count),
             (_INPUT_DISTANCE, points),
             (_OUTPUT_DISTANCE, points),
         ):
-            failed = failed or library.DftiSetValue(self._handle, name, _long(value))
+            failed = failed or library.DftiSetValue(self._handle, name, ctypes.c_long(value))
         failed = failed or library.DftiCommitDescriptor(self._handle)
         if failed:
             raise RuntimeError(f"MKL prepares no transforms of {shape}: error {failed}")
@@ -106,9 +106,6 @@ class _Plan:
         compute = self._library.DftiComputeBackward if back else self._library.DftiComputeForward
         if failed := compute(self._handle, ctypes.c_void_p(planes.data_ptr())):
             raise RuntimeError(f"MKL makes no transforms of {tuple(planes.shape)}: error {failed}")
-
-
-_long = ctypes.c_long
 
 
 @lru_cache(maxsize=32)

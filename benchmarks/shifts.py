@@ -11,13 +11,13 @@ makes so many iterations, others make their own number.
 
 import argparse
 import json
-from collections.abc import Sequence
 from pathlib import Path
 
 import torch
 
 from layerfield import Display, LightField, procedural_light_field, synthesize
 from layerfield.bench.frontier import unserved
+from layerfield.evaluate import parse_methods
 from layerfield.io import whole_file
 from layerfield.metrics import decibels
 from layerfield.provenance import provenance
@@ -45,24 +45,23 @@ def likeness(first: torch.Tensor, later: torch.Tensor, shift: int, border: int) 
     return round(decibels(error), 2) if error > 0 else None
 
 
-def main(out: Path, methods: Sequence[str]) -> None:
+def main(out: Path, methods: str) -> None:
     size = (SIZE[0] + max(SHIFTS), SIZE[1] + max(SHIFTS))
     whole = procedural_light_field(size=size, grid=GRID, disparity_range=(-1.5, 1.5), seed=SEED)
     rows = []
     for preset in PRESETS:
         display = Display.load(preset)
-        for name in methods:
-            method, _, count = name.partition(":")
-            if unserved(method, display) is not None:
+        for name, count in parse_methods(methods):
+            if unserved(name, display) is not None:
                 continue
-            options = {"method": method, "iterations": int(count) if count else None}
             views = {n: moved(whole, n) for n in (0, *SHIFTS)}
+            options = {"method": name, "iterations": count}
             layers = {n: synthesize(views[n], display, **options).layers for n in views}
             for border in BORDERS:
                 psnr = {n: likeness(layers[0], layers[n], n, border) for n in SHIFTS}
-                rows.append({"display": preset, "method": name, "border": border, "psnr": psnr})
-                print(preset, name, border, psnr, flush=True)
-            command = f"python benchmarks/shifts.py OUT.json --methods {','.join(methods)}"
+                rows.append({"display": preset, **options, "border": border, "psnr": psnr})
+                print(preset, name, count, border, psnr, flush=True)
+            command = f"python benchmarks/shifts.py OUT.json --methods {methods}"
             facts = {"command": command, "size": SIZE, "seed": SEED}
             record = facts | {"made_with": provenance(torch.device("cpu")), "rows": rows}
             with whole_file(out, force=True) as path:
@@ -74,4 +73,7 @@ if __name__ == "__main__":
     parser.add_argument("out", type=Path)
     parser.add_argument("--methods", default=",".join(METHODS))
     given = parser.parse_args()
-    main(given.out, given.methods.split(","))
+    try:
+        main(given.out, given.methods)
+    except ValueError as error:
+        parser.error(str(error))

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.kernels.compiled import serve
-from layerfield.kernels.strips import Side, add_band_
+from layerfield.kernels.strips import Side, Strips, add_strips_, strips_of
 from layerfield.projection import Projection, taps_of
 
 Size = tuple[int, int]
@@ -40,6 +40,10 @@ class Band(Protocol):
         bounds: Bounds = ANY,
     ) -> None:
         """Add a multiple of A^T (1 - M) W A of layers clamped to bounds, in place."""
+        ...
+
+    def strips(self, layers: Tensor, bounds: Bounds) -> Strips | None:
+        """Return the same for compiled loops to add, or None where they do not serve."""
         ...
 
 
@@ -93,6 +97,10 @@ class ViewsBand:
             self.projection.add_normal_(part, strip, weights)
             for there, here in _wrapped(columns, self.torus[1]):
                 _add_cut_(result[..., there], part[..., here], rows, -2)
+
+    def strips(self, layers: Tensor, bounds: Bounds) -> Strips | None:
+        """Return None: what views see is added up in PyTorch."""
+        return None
 
 
 @dataclass(frozen=True)
@@ -186,10 +194,12 @@ class GridBand:
         bounds: Bounds = ANY,
     ) -> None:
         """Add a multiple of A^T (1 - M) W A of layers clamped to bounds, in place."""
+        if serve(result) and result.is_contiguous():
+            strips = self.strips(layers, bounds)
+            if strips is not None:
+                add_strips_(result, strips.times(factor))
+                return
         factor *= self._weight
-        if serve(result, layers) and result.is_contiguous():
-            add_band_(result, layers, (self._axes[0].side, self._axes[1].side), factor, bounds)
-            return
         (down, across), (by_row, by_column) = self._axes, self._matrices(layers)
         rows = _cut(layers, down.span, -2).clamp(*bounds)
         columns = _cut(layers, across.span, -1).clamp(*bounds)
@@ -202,6 +212,12 @@ class GridBand:
         _add_cut_(result, below, down.span, -2, factor)
         beside = _strip(columns.mT.contiguous(), by_column, down)
         _add_cut_(result, beside.mT, across.span, -1, factor)
+
+    def strips(self, layers: Tensor, bounds: Bounds) -> Strips | None:
+        """Return the same for compiled loops to add, or None where they do not serve."""
+        if not serve(layers):
+            return None
+        return strips_of(layers, (self._axes[0].side, self._axes[1].side), self._weight, bounds)
 
     def _matrices(self, like: Tensor) -> tuple[Tensor, Tensor]:
         key = like.dtype, like.device

@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Complex, Float, Inexact
 from torch import Tensor
 
+from layerfield.kernels.blends import Blend
 from layerfield.kernels.compiled import serve
 from layerfield.kernels.spectra import LowPart, Pairs, Terms
 
@@ -96,12 +97,13 @@ class Spectral:
 
     def solved_pixels(
         self,
-        planes: Float[Tensor, "*batch layer c ty tx"],
+        planes: Float[Tensor, "*batch layer c ty tx"] | Blend,
         penalty: float,
         balance: float,
         gain: float = 1.0,
         kept: float = 0.0,
         apart: "Apart | None" = None,
+        added: Blend | None = None,
     ) -> Float[Tensor, "*batch layer c ty tx"]:
         """Return g rho (G + rho I)^-1 of planes, rho = penalty times the weight of all views.
 
@@ -113,21 +115,23 @@ class Spectral:
             gain: g.
             kept: of the planes as they are, that is added.
             apart: what takes the place of the `low_part`.
+            added: to all that.
         """
-        if not self._serves(planes):
-            seen = self.to_frequencies(planes)
+        if not self._serves(planes, added):
+            seen = self.to_frequencies(planes.planes() if isinstance(planes, Blend) else planes)
             taken = None if apart is None else low_part(seen, apart.grid)
             seen = self.solved_frequencies(seen, penalty, balance, gain, kept)
             if apart is not None and taken is not None:
                 replace_low_part_(seen, apart.solve(taken), apart.grid)
-            return self.to_pixels(seen)
+            result = self.to_pixels(seen)
+            return result if added is None else added.planes(onto=result)
         pairs, other = Pairs.of(planes, self.by_row), None
         if apart is not None:
             window = apart.grid.window
             other = LowPart(apart.solve(pairs.low(apart.grid.torus) * window), window)
         pull, rho = 0 if self.by_row else balance * self.weight, penalty * self.weight
         pairs.solve_(self.symbol, Terms(rho, pull, gain * rho, kept), other)
-        return pairs.planes()
+        return pairs.planes(added)
 
     def solved_frequencies(
         self,
@@ -141,8 +145,10 @@ class Spectral:
         product = multiply(self._resolvent(penalty, balance, gain), spectrum)
         return product.add_(spectrum, alpha=kept) if kept else product
 
-    def _serves(self, planes: Tensor) -> bool:
-        return self.torus[1] % 2 == 0 and serve(planes) and self.symbol.dtype == torch.float32
+    def _serves(self, *planes: Tensor | Blend | None) -> bool:
+        if self.torus[1] % 2 != 0 or self.symbol.dtype != torch.float32:
+            return False
+        return all(each.serves() if isinstance(each, Blend) else serve(each) for each in planes)
 
     def _resolvent(self, penalty: float, balance: float, gain: float) -> Matrix:
         """Computed once for a penalty: it depends on the display alone."""

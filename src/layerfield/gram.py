@@ -17,6 +17,7 @@ from torch import Tensor
 
 from layerfield.band import ANY, Bounds, band_of
 from layerfield.frequencies import Spectral, fast_length, fast_width, interleaved, multiply
+from layerfield.kernels.strips import Strips
 from layerfield.projection import Projection
 
 
@@ -86,6 +87,10 @@ class Gram:
     ) -> None:
         """Add a multiple of the band of `layers`, clamped, at the cost of the band alone."""
         self._band.add_(result, layers, factor, bounds)
+
+    def strips(self, layers: Tensor, bounds: Bounds) -> Strips | None:
+        """Return the band of layers, clamped, for compiled loops to add, or None."""
+        return self._band.strips(layers, bounds)
 
     def __call__(
         self, layers: Float[Tensor, "*batch layer c ty tx"]

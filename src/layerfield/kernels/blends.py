@@ -1,6 +1,7 @@
 """Sums of what a step of ADMM is made of, in one pass over the layers."""
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.kernels.compiled import compiled, serve
+from layerfield.kernels.strips import NO_STRIPS, Strips, add_strips_to_row
 
 _NONE = np.zeros((0, 0, 0), np.float32)
 
@@ -21,73 +23,107 @@ class Shares(NamedTuple):
     other: float = 0.0
 
 
-def blended(
-    shares: Shares,
-    shadow: Float[Tensor, "*batch ty tx"],
-    bounds: tuple[float, float],
-    other: Float[Tensor, "*batch ly lx"] | None = None,
-    onto: Float[Tensor, "*batch ty tx"] | None = None,
-) -> Float[Tensor, "*batch ty tx"]:
-    """Return a z + b s + c other, with z = clamp(s).
+@dataclass(frozen=True, eq=False)
+class Blend:
+    """a z + b s + c other, with z = clamp(s): planes that nobody has added up yet.
 
     Args:
         shares: a, b and c.
         shadow: s.
         bounds: of z.
         other: planes that may be smaller: they lie in the top left corner.
-        onto: to which all is added, in place.
+        strips: what else is added to rows below and columns beside them, c times, too. They are
+            there for compiled loops only.
     """
-    if not serve(shadow, other, onto) or not (onto is None or onto.is_contiguous()):
-        return _blended(shares, shadow, bounds, other, onto)
-    (height, width), batch = shadow.shape[-2:], shadow.shape[:-2]
-    if other is not None and (other.shape[-2] > height or other.shape[-1] > width):
-        raise ValueError(f"found planes of {tuple(other.shape[-2:])}, expected {height, width}")
-    result = torch.empty(shadow.shape) if onto is None else onto
-    planes, seen = _planes(result), _planes(shadow.contiguous())
-    added = _NONE if other is None else _planes(other.expand(*batch, -1, -1).contiguous())
-    single, (low, high) = Shares._make(map(np.float32, shares)), map(np.float32, bounds)
 
-    given = (planes, seen, added, single, low, high, onto is None)
-    _blend.in_spans(*given, count=len(planes) * height, numbers=planes.size)
-    return result
+    shares: Shares
+    shadow: Float[Tensor, "*batch ty tx"]
+    bounds: tuple[float, float]
+    other: Float[Tensor, "*batch ly lx"] | None = None
+    strips: Strips | None = None
+
+    def planes(
+        self, onto: Float[Tensor, "*batch ty tx"] | None = None
+    ) -> Float[Tensor, "*batch ty tx"]:
+        """Return the sum, added to what is given, in place."""
+        if not self.serves(onto):
+            return self._in_pytorch(onto)
+        result = torch.empty(self.shadow.shape) if onto is None else onto
+        made = planes_of(result)
+        given = (made, self.terms(), onto is None)
+        _blend.in_spans(*given, count=len(made) * made.shape[1], numbers=made.size)
+        return result
+
+    def serves(self, onto: Tensor | None = None) -> bool:
+        """Whether compiled loops do."""
+        known = serve(self.shadow, self.other, onto)
+        return known and (onto is None or onto.is_contiguous())
+
+    def terms(self) -> "Terms":
+        """Return the same for compiled loops."""
+        (height, width), batch = self.shadow.shape[-2:], self.shadow.shape[:-2]
+        other, added = self.other, _NONE
+        if other is not None:
+            if other.shape[-2] > height or other.shape[-1] > width:
+                found = tuple(other.shape[-2:])
+                raise ValueError(f"found planes of {found}, expected {height, width}")
+            added = planes_of(other.expand(*batch, -1, -1).contiguous())
+        strips = NO_STRIPS if self.strips is None else self.strips.times(self.shares.other)
+        if strips is not NO_STRIPS and strips.beside.shape[:2] != (math.prod(batch), height):
+            raise ValueError(f"found strips of {strips.beside.shape[:2]}, expected {batch, height}")
+        shares, bounds = (map(np.float32, each) for each in (self.shares, self.bounds))
+        shadow = planes_of(self.shadow.contiguous())
+        return Terms(shadow, added, strips, Shares._make(shares), *bounds)
+
+    def _in_pytorch(self, onto: Tensor | None) -> Tensor:
+        shares, iterate = self.shares, self.shadow.clamp(*self.bounds)
+        if onto is None:
+            result = iterate.mul_(shares.iterate)
+        else:
+            result = onto.add_(iterate, alpha=shares.iterate)
+        result.add_(self.shadow, alpha=shares.shadow)
+        if self.other is not None:
+            height, width = self.other.shape[-2:]
+            result[..., :height, :width].add_(self.other, alpha=shares.other)
+        return result
 
 
-def _blended(
-    shares: Shares,
-    shadow: Tensor,
-    bounds: tuple[float, float],
-    other: Tensor | None,
-    onto: Tensor | None,
-) -> Tensor:
-    iterate = shadow.clamp(*bounds)
-    if onto is None:
-        result = iterate.mul_(shares.iterate)
-    else:
-        result = onto.add_(iterate, alpha=shares.iterate)
-    result.add_(shadow, alpha=shares.shadow)
-    if other is not None:
-        height, width = other.shape[-2:]
-        result[..., :height, :width].add_(other, alpha=shares.other)
-    return result
+class Terms(NamedTuple):
+    """A `Blend` of `[plane, y, x]`; what there is not has no planes."""
+
+    shadow: np.ndarray
+    other: np.ndarray
+    strips: Strips
+    shares: Shares
+    low: np.float32
+    high: np.float32
 
 
-def _planes(values: Tensor) -> np.ndarray:
+def planes_of(values: Float[Tensor, "*batch y x"]) -> np.ndarray:
+    """Return contiguous values as `[plane, y, x]`."""
     *batch, height, width = values.shape
     return values.detach().view(math.prod(batch), height, width).numpy()
 
 
 @compiled
-def _blend(planes, shadows, others, shares, low, high, is_new, begin, end):
+def _blend(planes, terms, is_new, begin, end):
     """Rows of all planes, one after the other, from and to."""
-    height = planes.shape[1]
     for number in range(begin, end):
-        plane, y = number // height, number % height
-        if is_new:
-            _set(planes[plane, y], shadows[plane, y], shares, low, high)
-        else:
-            _add(planes[plane, y], shadows[plane, y], shares, low, high)
-        if y < others.shape[1]:
-            _add_other(planes[plane, y], others[plane, y], shares.other)
+        plane, y = divmod(number, planes.shape[1])
+        blend_row(planes[plane, y], terms, plane, y, is_new)
+
+
+@compiled
+def blend_row(row, terms, plane, y, is_new):
+    """Put the sum into a row of a plane, or add it to what is there."""
+    if is_new:
+        _set(row, terms.shadow[plane, y], terms.shares, terms.low, terms.high)
+    else:
+        _add(row, terms.shadow[plane, y], terms.shares, terms.low, terms.high)
+    if y < terms.other.shape[1]:
+        _add_other(row, terms.other[plane, y], terms.shares.other)
+    if len(terms.strips.below) > 0:
+        add_strips_to_row(row, terms.strips, plane, y)
 
 
 @compiled

@@ -93,7 +93,7 @@ class compiled:  # noqa: N801 - a decorator
         """Numba's own."""
         code, known = self._function.__code__, {**self._function.__globals__}
         for name in code.co_names:
-            if isinstance(each := known.get(name), compiled):
+            if isinstance(each := known.get(name), compiled | native):
                 known[name] = each.dispatcher
         return _kept(FunctionType(code, known, self._function.__name__), **_OPTIONS)
 
@@ -102,6 +102,26 @@ class compiled:  # noqa: N801 - a decorator
         from layerfield.kernels.regions import region_of  # noqa: PLC0415
 
         return _kept(region_of(self._function, self.dispatcher), nogil=True)
+
+
+class native:  # noqa: N801 - a decorator
+    """What compiled functions may call although it is none of them.
+
+    Args:
+        find: imports Numba and returns it.
+    """
+
+    def __init__(self, find: Callable[[], Callable[..., Any]]) -> None:
+        self._find = find
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Return what it does; outside of compiled functions most of these do nothing."""
+        return self.dispatcher(*arguments)
+
+    @cached_property
+    def dispatcher(self) -> Callable[..., Any]:
+        """Numba's own."""
+        return self._find()
 
 
 def _kept(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:

@@ -21,8 +21,9 @@ import torch
 from jaxtyping import Complex, Float
 from torch import Tensor
 
+from layerfield.kernels.blends import Blend
 from layerfield.kernels.compiled import compiled
-from layerfield.kernels.transforms import transform_
+from layerfield.kernels.planes import transformed, transformed_back
 
 _HALF = np.float32(0.5)
 
@@ -68,16 +69,13 @@ class Pairs:
     by_row: bool
 
     @classmethod
-    def of(cls, planes: Float[Tensor, "*batch ty tx"], by_row: bool) -> "Pairs":
+    def of(cls, planes: Float[Tensor, "*batch ty tx"] | Blend, by_row: bool) -> "Pairs":
         """Transform planes, which may be written on."""
-        pairs = torch.view_as_complex(planes.detach().contiguous().unflatten(-1, (-1, 2)))
-        transform_(pairs, by_row=by_row)
-        return cls(pairs, by_row)
+        return cls(transformed(planes, by_row), by_row)
 
-    def planes(self) -> Float[Tensor, "*batch ty tx"]:
-        """Transform what was solved back, in place."""
-        transform_(self.values, by_row=self.by_row, back=True)
-        return torch.view_as_real(self.values).flatten(-2)
+    def planes(self, added: Blend | None = None) -> Float[Tensor, "*batch ty tx"]:
+        """Transform what was solved back, in place, and add something to it."""
+        return transformed_back(self.values, self.by_row, added)
 
     def solve_(
         self,

@@ -1,6 +1,6 @@
 """Strips of layers around the views: small matrices across them, filters of a few taps along them.
 
-All that becomes of one layer is found by one task, from the layers as they lie in memory.
+All that becomes of one layer is found by one task.
 """
 
 from typing import NamedTuple
@@ -28,91 +28,152 @@ class Side(NamedTuple):
     weight: np.ndarray
 
 
-def add_band_(
-    result: Float[Tensor, "*batch layer c ty tx"],
+class Strips(NamedTuple):
+    """What is added to planes: rows from `top` on and columns from `left` on, around the torus.
+
+    Args:
+        below: `[plane, n, tx]`.
+        beside: `[plane, ty, n]`.
+        top: first row.
+        left: first column.
+        factor: what to multiply both by.
+    """
+
+    below: np.ndarray
+    beside: np.ndarray
+    top: int
+    left: int
+    factor: np.float32
+
+    def times(self, factor: float) -> "Strips":
+        """Return a multiple."""
+        return self._replace(factor=np.float32(self.factor * factor))
+
+
+_EMPTY = np.zeros((0, 0, 0), np.float32)
+NO_STRIPS = Strips(_EMPTY, _EMPTY, 0, 0, np.float32(0))
+
+
+def strips_of(
     layers: Float[Tensor, "*batch layer c ty tx"],
     sides: tuple[Side, Side],
     factor: float,
     bounds: tuple[float, float],
-) -> None:
-    """Add a multiple of the band of layers clamped to bounds, in place.
+) -> Strips:
+    """Return a multiple of the band of layers clamped to bounds.
 
     With Y along the rows of viewpoints and X along their columns:
 
         Y^T (1 - M_y) Y  (X^T X - X^T (1 - M_x) X)  +  Y^T Y  X^T (1 - M_x) X
 
     Args:
-        result: contiguous.
-        layers: of the same shape.
+        layers: of single precision, on a processor.
         sides: of rows below the views, and of columns on their right.
         factor: multiple.
         bounds: least and greatest value.
     """
-    if layers.shape != result.shape:
-        raise ValueError(f"found layers {tuple(layers.shape)}, expected {tuple(result.shape)}")
-    by = result.shape[-4:]
-    made, seen = result.view(-1, *by).numpy(), layers.detach().contiguous().view(-1, *by).numpy()
-    (down, across), share = sides, np.float32(factor)
-    low, high = np.float32(bounds[0]), np.float32(bounds[1])
+    (down, across), by = sides, layers.shape[-4:]
     number, channels, height, width = by
-    pixels = down.matrix.shape[-1] * width + across.matrix.shape[-1] * height
-    count = len(made) * channels * number
-    numbers = count * number * down.offset.shape[-1] * pixels
-    _add_band.in_spans(made, seen, down, across, share, low, high, count=count, numbers=numbers)
+    seen = layers.detach().contiguous().view(-1, *by).numpy()
+    low, high = np.float32(bounds[0]), np.float32(bounds[1])
+    count, thick = len(seen) * number * channels, (down.matrix.shape[-1], across.matrix.shape[-1])
+    columns = np.empty((*seen.shape[:3], thick[1], height), np.float32)
+    _cut_columns.in_spans(columns, seen, across.start, low, high, count=count, numbers=columns.size)
+    below = np.empty((count, thick[0], width), np.float32)
+    beside = np.empty((count, height, thick[1]), np.float32)
+    numbers = number * down.offset.shape[-1] * (below.size + beside.size)
+    given = (below, beside, seen, columns, down, across, low, high)
+    _strips.in_spans(*given, count=count, numbers=numbers)
+    return Strips(below, beside, down.start, across.start, np.float32(factor))
+
+
+def add_strips_(result: Float[Tensor, "*batch ty tx"], strips: Strips) -> None:
+    """Add strips to contiguous planes, in place."""
+    planes = result.view(-1, *result.shape[-2:]).numpy()
+    if len(planes) != len(strips.below) or planes.shape[1] != strips.beside.shape[1]:
+        raise ValueError(f"found strips of {len(strips.below)} planes, expected {len(planes)}")
+    count, numbers = len(planes) * planes.shape[1], strips.below.size + strips.beside.size
+    _add_strips.in_spans(planes, strips, count=count, numbers=numbers)
 
 
 @compiled
-def _add_band(result, layers, down, across, factor, low, high, begin, end):
-    """Layers of all colours, one after the other, from and to."""
-    number, channels = layers.shape[1:3]
+def _add_strips(planes, strips, begin, end):
+    """Rows of all planes, one after the other, from and to."""
     for place in range(begin, end):
-        item, rest = divmod(place, channels * number)
-        channel, to = divmod(rest, number)
-        planes, made = layers[item, :, channel], result[item, to, channel]
-        _add_below(made, planes, to, down, across, factor, low, high)
-        _add_beside(made, planes, to, down, across, factor, low, high)
+        plane, y = divmod(place, planes.shape[1])
+        add_strips_to_row(planes[plane, y], strips, plane, y)
 
 
 @compiled
-def _add_below(result, planes, to, down, across, factor, low, high):
-    number, height, width = planes.shape
-    thick = down.matrix.shape[2]
-    row = np.zeros(width, planes.dtype)
-    filtered = np.zeros((thick, width), planes.dtype)
-    made = np.zeros((thick, width), planes.dtype)
-    for come in range(number):
-        for b in range(thick):
-            _clamp(row, planes[come, (down.start + b) % height], low, high)
-            _filter(filtered[b], row, across.offset[to, come], across.weight[to, come])
-            _leave_out(filtered[b], row, across.matrix[to, come], across.start)
-        _mix(made, filtered, down.matrix[to, come])
-    for a in range(thick):
-        _add(result[(down.start + a) % height], made[a], factor)
+def add_strips_to_row(row, strips, plane, y):
+    """Add what there is in a row, in place."""
+    below, beside, height = strips.below, strips.beside, strips.beside.shape[1]
+    for a in range((y - strips.top) % height, below.shape[1], height):
+        _add(row, below[plane, a], strips.factor)
+    thick = beside.shape[2]
+    right = min(thick, len(row) - strips.left)  # what is beyond lies on the left
+    for a in range(right):
+        row[strips.left + a] += strips.factor * beside[plane, y, a]
+    for a in range(right, thick):
+        row[a - right] += strips.factor * beside[plane, y, a]
 
 
 @compiled
-def _add_beside(result, planes, to, down, across, factor, low, high):
-    number, height, width = planes.shape
-    thick = across.matrix.shape[2]
-    right = min(thick, width - across.start)  # what is beyond lies on the left
-    columns = np.zeros((thick, height), planes.dtype)
-    filtered = np.zeros((thick, height), planes.dtype)
-    made = np.zeros((thick, height), planes.dtype)
-    for come in range(number):
+def _cut_columns(columns, layers, start, low, high, begin, end):
+    """Columns of all planes, one after the other, from and to, each as a row."""
+    number, channels, height, width = layers.shape[1:]
+    thick = columns.shape[3]
+    right = min(thick, width - start)
+    for place in range(begin, end):
+        item, rest = divmod(place, number * channels)
+        layer, channel = divmod(rest, channels)
+        rows, made = layers[item, layer, channel], columns[item, layer, channel]
         for y in range(height):
             for b in range(right):
-                columns[b, y] = planes[come, y, across.start + b]
+                made[b, y] = min(max(rows[y, start + b], low), high)
             for b in range(right, thick):
-                columns[b, y] = planes[come, y, b - right]
+                made[b, y] = min(max(rows[y, b - right], low), high)
+
+
+@compiled
+def _strips(below, beside, layers, columns, down, across, low, high, begin, end):
+    """Those of all planes, one after the other, from and to."""
+    number, channels = layers.shape[1:3]
+    for place in range(begin, end):
+        item, rest = divmod(place, number * channels)
+        to, channel = divmod(rest, channels)
+        _below(below[place], layers[item], channel, to, down, across, low, high)
+        _beside(beside[place], columns[item], channel, to, down, across)
+
+
+@compiled
+def _below(result, layers, channel, to, down, across, low, high):
+    number, _, height, width = layers.shape
+    thick = down.matrix.shape[2]
+    row = np.zeros(width, layers.dtype)
+    filtered = np.zeros((thick, width), layers.dtype)
+    result[:] = 0
+    for come in range(number):
         for b in range(thick):
-            _clamp(columns[b], columns[b], low, high)
-            _filter(filtered[b], columns[b], down.offset[to, come], down.weight[to, come])
+            _clamp(row, layers[come, channel, (down.start + b) % height], low, high)
+            _filter(filtered[b], row, across.offset[to, come], across.weight[to, come])
+            _leave_out(filtered[b], row, across.matrix[to, come], across.start)
+        _mix(result, filtered, down.matrix[to, come])
+
+
+@compiled
+def _beside(result, columns, channel, to, down, across):
+    number, _, thick, height = columns.shape
+    filtered = np.zeros((thick, height), columns.dtype)
+    made = np.zeros((thick, height), columns.dtype)
+    for come in range(number):
+        for b in range(thick):
+            offset, weight = down.offset[to, come], down.weight[to, come]
+            _filter(filtered[b], columns[come, channel, b], offset, weight)
         _mix(made, filtered, across.matrix[to, come])
     for y in range(height):
-        for a in range(right):
-            result[y, across.start + a] += factor * made[a, y]
-        for a in range(right, thick):
-            result[y, a - right] += factor * made[a, y]
+        for a in range(thick):
+            result[y, a] = made[a, y]
 
 
 @compiled

@@ -1,6 +1,7 @@
 """Fourier transforms of complex planes, in place."""
 
 import ctypes
+import math
 import platform
 import weakref
 from collections.abc import Iterator
@@ -8,14 +9,17 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Complex
 from torch import Tensor
 
+from layerfield.kernels.compiled import native
+
 _LARGE = 1 << 19  # pixels of a plane from which on it is transformed by itself
-_COMPLEX, _COUNT, _INPUT_DISTANCE, _OUTPUT_DISTANCE = 32, 7, 14, 15  # as MKL numbers them
+# As MKL numbers them.
+_COMPLEX, _COUNT, _INPUT_DISTANCE, _OUTPUT_DISTANCE, _THREADS = 32, 7, 14, 15, 27
 _TORCH = {
     (False, False): torch.fft.fft2,
     (False, True): torch.fft.ifft2,
@@ -66,8 +70,7 @@ def transform_(
     if not values.is_contiguous() or values.dtype != torch.complex64 or values.is_conj():
         found = f"{values.dtype}, strides {values.stride()}"
         raise ValueError(f"found {found}, expected contiguous complex64 values")
-    if (made := _MADE.get()) is not None:
-        made.append(Transform((*values.shape,), by_row, back))
+    _note((*values.shape,), by_row, back)
     planes = values.view(-1, *values.shape[-2:])
     for some in planes.split(1) if planes[0].numel() >= _LARGE else (planes,):
         if _library() is None:
@@ -77,14 +80,48 @@ def transform_(
             _plan((*some.shape,), by_row, torch.get_num_threads())(some, back)
 
 
+class Call(NamedTuple):
+    """Of a function that transforms a plane in place: its address, and what it is called with."""
+
+    address: int
+    handle: int
+
+
+def plane_transform(shape: tuple[int, ...], by_row: bool, back: bool) -> "_PlaneTransform | None":
+    """Return what transforms planes of such values one by one, from compiled loops.
+
+    Each is done by one thread: that pays where all threads have some, and where planes are small
+    enough to stay in the cache meanwhile. Otherwise there is None.
+    """
+    *batch, height, width = shape
+    threads, library = torch.get_num_threads(), _library()
+    if library is None or math.prod(batch) < threads or height * width >= _LARGE:
+        return None
+    _note(shape, by_row, back)
+    return _PlaneTransform(_plan((1, height, width), by_row, 1), back)
+
+
+@native
+def transform_plane() -> Any:
+    """Compiled loops give it address, handle and plane; what it returns is 0, or an error."""
+    from layerfield.kernels.calls import call  # noqa: PLC0415
+
+    return call
+
+
+def _note(shape: tuple[int, ...], by_row: bool, back: bool) -> None:
+    if (made := _MADE.get()) is not None:
+        made.append(Transform(shape, by_row, back))
+
+
 class _Plan:
     """Transforms of so many planes, as MKL prepares them for a number of threads."""
 
-    def __init__(self, shape: tuple[int, int, int], by_row: bool) -> None:
+    def __init__(self, shape: tuple[int, int, int], by_row: bool, threads: int) -> None:
         library, (count, height, width) = _library(), shape
         assert library is not None
-        self._library, self._handle = library, ctypes.c_void_p()
-        there = ctypes.byref(self._handle)
+        self._library, self.handle = library, ctypes.c_void_p()
+        there = ctypes.byref(self.handle)
         if by_row:
             count, points = count * height, width
             failed = library.DftiCreateDescriptor_s_1d(there, _COMPLEX, ctypes.c_long(width))
@@ -96,21 +133,36 @@ class _Plan:
             (_COUNT, count),
             (_INPUT_DISTANCE, points),
             (_OUTPUT_DISTANCE, points),
+            (_THREADS, threads),
         ):
-            failed = failed or library.DftiSetValue(self._handle, name, ctypes.c_long(value))
-        failed = failed or library.DftiCommitDescriptor(self._handle)
+            failed = failed or library.DftiSetValue(self.handle, name, ctypes.c_long(value))
+        failed = failed or library.DftiCommitDescriptor(self.handle)
         if failed:
             raise RuntimeError(f"MKL prepares no transforms of {shape}: error {failed}")
 
+    def function(self, back: bool) -> Any:
+        """Return MKL's."""
+        return self._library.DftiComputeBackward if back else self._library.DftiComputeForward
+
     def __call__(self, planes: Tensor, back: bool) -> None:
-        compute = self._library.DftiComputeBackward if back else self._library.DftiComputeForward
-        if failed := compute(self._handle, ctypes.c_void_p(planes.data_ptr())):
+        if failed := self.function(back)(self.handle, ctypes.c_void_p(planes.data_ptr())):
             raise RuntimeError(f"MKL makes no transforms of {tuple(planes.shape)}: error {failed}")
+
+
+class _PlaneTransform:
+    """Keeps a plan as long as its call is in use."""
+
+    def __init__(self, plan: _Plan, back: bool) -> None:
+        self._plan = plan
+        address = ctypes.cast(plan.function(back), ctypes.c_void_p).value
+        assert address is not None
+        assert plan.handle.value is not None
+        self.call = Call(address, plan.handle.value)
 
 
 @lru_cache(maxsize=32)
 def _plan(shape: tuple[int, int, int], by_row: bool, threads: int) -> _Plan:
-    return _Plan(shape, by_row)
+    return _Plan(shape, by_row, threads)
 
 
 @cache

@@ -1,12 +1,12 @@
 """The direct solver: ADMM whose linear system is a small matrix per frequency."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.kernels.blends import Shares, blended
+from layerfield.kernels.blends import Blend, Shares
 from layerfield.solve import Problem
 
 
@@ -60,9 +60,9 @@ class FourierAdmm:
         return AdmmState(shadow + dual, self.warm_penalty)
 
     def step(self, problem: Problem, state: AdmmState) -> AdmmState:
-        moved = self._solved(problem, state, self.relaxation)
-        shares = Shares(-self.relaxation, 1)  # s + a (x - z)
-        return AdmmState(blended(shares, state.shadow, problem.bounds, onto=moved), state.penalty)
+        # s + a (x - z)
+        rest = Blend(Shares(-self.relaxation, 1), state.shadow, problem.bounds)
+        return AdmmState(self._solved(problem, state, self.relaxation, rest), state.penalty)
 
     def unbounded(
         self, problem: Problem, state: AdmmState
@@ -70,11 +70,14 @@ class FourierAdmm:
         """Return x of the next iteration, before the box: it holds the best dual certificate."""
         return problem.gram.from_torus(self._solved(problem, state))
 
-    def _solved(self, problem: Problem, state: AdmmState, gain: float = 1.0) -> Tensor:
+    def _solved(
+        self, problem: Problem, state: AdmmState, gain: float = 1.0, added: Blend | None = None
+    ) -> Tensor:
         rho = sum(problem.weights) * state.penalty
         # z - u + b / rho, z - u = 2 z - s
         right = right_hand_side(problem, state.shadow, Shares(2, -1, 1 / rho))
-        return problem.gram.spectral.solved_pixels(right, state.penalty, self.balance, gain)
+        spectral = problem.gram.spectral
+        return spectral.solved_pixels(right, state.penalty, self.balance, gain, added=added)
 
     def layers(self, problem: Problem, state: AdmmState) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         return problem.gram.from_torus(state.shadow).clamp(*problem.bounds)
@@ -82,11 +85,15 @@ class FourierAdmm:
 
 def right_hand_side(
     problem: Problem, shadow: Float[Tensor, "*batch 1 layer c ty tx"], shares: Shares
-) -> Float[Tensor, "*batch 1 layer c ty tx"]:
+) -> Float[Tensor, "*batch 1 layer c ty tx"] | Blend:
     """Return shares of z, s and b: A^T W L, and around the views what layers show there."""
-    right = blended(shares, shadow, problem.bounds, problem.back_projected)
-    problem.gram.add_band_(right, shadow, shares.other, problem.bounds)
-    return right
+    gram, bounds = problem.gram, problem.bounds
+    right = Blend(shares, shadow, bounds, problem.back_projected)
+    if right.serves() and (strips := gram.strips(shadow, bounds)) is not None:
+        return replace(right, strips=strips)
+    planes = right.planes()
+    gram.add_band_(planes, shadow, shares.other, bounds)
+    return planes
 
 
 def _dual(problem: Problem, iterate: Tensor, rho: float) -> Tensor:

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.frequencies import Apart, Spectral
-from layerfield.kernels.blends import Shares, blended
+from layerfield.kernels.blends import Blend, Shares
 from layerfield.solve import Problem
 from layerfield.solvers.fourier_admm import AdmmState, FourierAdmm, right_hand_side
 
@@ -143,7 +143,7 @@ class LearnedAdmm:
         data = coarser.to_pixels(seen).div_(coarser.pixels)
         shadow, before = data / (coarser.weight * len(coarser.symbol)), None
         for constants in (each.among(len(coarser.symbol)) for each in self.coarse):
-            right = blended(_right_shares(coarser, constants), shadow, bounds, data)
+            right = Blend(_right_shares(coarser, constants), shadow, bounds, data)
             shadow, before = _moved(coarser, right, shadow, before, bounds, constants), shadow
         return coarser.to_frequencies(shadow).mul_(coarser.pixels)
 
@@ -175,7 +175,7 @@ def _right_shares(spectral: Spectral, constants: Constants) -> Shares:
 
 def _moved(
     spectral: Spectral,
-    right: Tensor,
+    right: Tensor | Blend,
     shadow: Tensor,
     before: Tensor | None,
     bounds: tuple[float, float],
@@ -184,7 +184,7 @@ def _moved(
     """Return s after a step, from z - trust u + b / rho."""
     a, kept = constants.relaxation, constants.kept
     momentum = 0.0 if before is None else constants.momentum
-    moved = spectral.solved_pixels(right, constants.penalty, BALANCE, gain=a)
     # a x + (1 - a) z + kept (s - z) + momentum (s - s of one step ago)
     shares = Shares(1 - a - kept, kept + momentum, -momentum)
-    return blended(shares, shadow, bounds, before, onto=moved)
+    rest = Blend(shares, shadow, bounds, before)
+    return spectral.solved_pixels(right, constants.penalty, BALANCE, gain=a, added=rest)

@@ -1,0 +1,80 @@
+"""Planes that are transformed while they are in the cache: behind or before they are added up."""
+
+import torch
+from jaxtyping import Complex, Float
+from torch import Tensor
+
+from layerfield.kernels.blends import Blend, blend_row, planes_of
+from layerfield.kernels.compiled import compiled
+from layerfield.kernels.transforms import plane_transform, transform_, transform_plane
+
+
+def transformed(
+    planes: Float[Tensor, "*batch ty tx"] | Blend, by_row: bool
+) -> Complex[Tensor, "*batch ty half"]:
+    """Return the transform of planes, neighbours along x taken for one complex pixel.
+
+    Args:
+        planes: may be written on.
+        by_row: every row by itself, or both directions.
+    """
+    if isinstance(planes, Blend):
+        values = _pairs(torch.empty(planes.shadow.shape))
+        known = plane_transform((*values.shape,), by_row, back=False)
+        if known is not None:
+            made = planes_of(torch.view_as_real(values).flatten(-2))
+            given = (made, planes.terms(), known.call)
+            _forth.in_spans(*given, count=len(made), numbers=made.size)
+            return values
+        planes = planes.planes()
+    values = _pairs(planes.detach().contiguous())
+    transform_(values, by_row=by_row)
+    return values
+
+
+def transformed_back(
+    values: Complex[Tensor, "*batch ty half"], by_row: bool, added: Blend | None
+) -> Float[Tensor, "*batch ty tx"]:
+    """Return the planes of a transform, which is written on.
+
+    Args:
+        values: of it.
+        by_row: every row by itself, or both directions.
+        added: what is added to them.
+    """
+    result = torch.view_as_real(values).flatten(-2)
+    known = None if added is None else plane_transform((*values.shape,), by_row, back=True)
+    if added is None or known is None:
+        transform_(values, by_row=by_row, back=True)
+        return result if added is None else added.planes(onto=result)
+    made = planes_of(result)
+    _back.in_spans(made, added.terms(), known.call, count=len(made), numbers=made.size)
+    return result
+
+
+def _pairs(planes: Tensor) -> Tensor:
+    return torch.view_as_complex(planes.unflatten(-1, (-1, 2)))
+
+
+@compiled
+def _forth(planes, terms, call, begin, end):
+    """Planes from and to."""
+    for plane in range(begin, end):
+        for y in range(planes.shape[1]):
+            blend_row(planes[plane, y], terms, plane, y, True)
+        _transform(planes[plane], call)
+
+
+@compiled
+def _back(planes, terms, call, begin, end):
+    """Planes from and to."""
+    for plane in range(begin, end):
+        _transform(planes[plane], call)
+        for y in range(planes.shape[1]):
+            blend_row(planes[plane, y], terms, plane, y, False)
+
+
+@compiled
+def _transform(plane, call):
+    if transform_plane(call.address, call.handle, plane) != 0:
+        raise MemoryError("there is not enough memory for a Fourier transform")

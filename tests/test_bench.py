@@ -69,7 +69,7 @@ def test_the_road_is_synthesis_of_rounded_views_and_rounding(field):
     layers = synthesize(rounded, DISPLAY, method="fourier-admm", iterations=3).layers
     assert torch.allclose(made.layers, layers, atol=1e-5)  # sums of codes are exact
     assert made.codes.dtype == views.codes.dtype == torch.uint8
-    assert (made.codes.float() / 255 - layers).abs().max() <= 0.5 / 255 + 1e-6
+    assert (made.codes.float() / 255 - made.layers).abs().max() <= 0.5 / 255 + 1e-6
 
 
 def test_a_row_is_judged_from_its_codes(field):

@@ -113,8 +113,8 @@ def test_the_papers_networks_cost_what_their_layers_say():
 def test_operations_of_solvers_are_those_counted_by_hand():
     field = procedural_light_field(size=(32, 40), seed=3)
     problem, pixels = pose(field, DISPLAY), 32 * 40
-    torus = 36 * 48  # of 36 x 44 layer pixels
-    layers = 3 * 36 * 44
+    torus = 36 * 44  # just the layer pixels
+    layers = 3 * torus
     assert solver_cost("sart", problem) == Cost(0.0, 2 * 75 + 25)
     assert solver_cost("gradient", problem).each == pytest.approx(175 + 3 * layers / pixels)
     transform = 1.25 * torus * math.log2(torus)

@@ -120,7 +120,7 @@ class Spectral:
             apart: what takes the place of the `low_part`.
             added: to all that.
         """
-        if not self._serves(planes, added):
+        if not self.serves(planes, added):
             seen = self.to_frequencies(planes.planes() if isinstance(planes, Blend) else planes)
             taken = None if apart is None else low_part(seen, apart.grid)
             seen = self.solved_frequencies(seen, penalty, balance, gain, kept)
@@ -148,7 +148,8 @@ class Spectral:
         product = multiply(self._resolvent(penalty, balance, gain), spectrum)
         return product.add_(spectrum, alpha=kept) if kept else product
 
-    def _serves(self, *planes: Tensor | Blend | None) -> bool:
+    def serves(self, *planes: Tensor | Blend | None) -> bool:
+        """Whether compiled loops solve such planes of this torus."""
         if self.torus[1] % 2 != 0 or self.symbol.dtype != torch.float32:
             return False
         return all(each.serves() if isinstance(each, Blend) else serve(each) for each in planes)

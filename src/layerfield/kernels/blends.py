@@ -50,7 +50,7 @@ class Blend:
             return self._in_pytorch(onto)
         result = torch.empty(self.shadow.shape) if onto is None else onto
         made = planes_of(result)
-        given = (made, self.terms(), onto is None)
+        given = (made, self.sum(), onto is None)
         _blend.in_spans(*given, count=len(made) * made.shape[1], numbers=made.size)
         return result
 
@@ -59,7 +59,7 @@ class Blend:
         known = serve(self.shadow, self.other, onto)
         return known and (onto is None or onto.is_contiguous())
 
-    def terms(self) -> "Terms":
+    def sum(self) -> "Sum":
         """Return the same for compiled loops."""
         (height, width), batch = self.shadow.shape[-2:], self.shadow.shape[:-2]
         other, added = self.other, _NONE
@@ -73,7 +73,7 @@ class Blend:
             raise ValueError(f"found strips of {strips.beside.shape[:2]}, expected {batch, height}")
         shares, bounds = (map(np.float32, each) for each in (self.shares, self.bounds))
         shadow = planes_of(self.shadow.contiguous())
-        return Terms(shadow, added, strips, Shares._make(shares), *bounds)
+        return Sum(shadow, added, strips, Shares._make(shares), *bounds)
 
     def _in_pytorch(self, onto: Tensor | None) -> Tensor:
         shares, iterate = self.shares, self.shadow.clamp(*self.bounds)
@@ -88,7 +88,7 @@ class Blend:
         return result
 
 
-class Terms(NamedTuple):
+class Sum(NamedTuple):
     """A `Blend` of `[plane, y, x]`; what there is not has no planes."""
 
     shadow: np.ndarray
@@ -106,24 +106,24 @@ def planes_of(values: Float[Tensor, "*batch y x"]) -> np.ndarray:
 
 
 @compiled
-def _blend(planes, terms, is_new, begin, end):
+def _blend(planes, known, is_new, begin, end):
     """Rows of all planes, one after the other, from and to."""
     for number in range(begin, end):
         plane, y = divmod(number, planes.shape[1])
-        blend_row(planes[plane, y], terms, plane, y, is_new)
+        blend_row(planes[plane, y], known, plane, y, is_new)
 
 
 @compiled
-def blend_row(row, terms, plane, y, is_new):
+def blend_row(row, known, plane, y, is_new):
     """Put the sum into a row of a plane, or add it to what is there."""
     if is_new:
-        _set(row, terms.shadow[plane, y], terms.shares, terms.low, terms.high)
+        _set(row, known.shadow[plane, y], known.shares, known.low, known.high)
     else:
-        _add(row, terms.shadow[plane, y], terms.shares, terms.low, terms.high)
-    if y < terms.other.shape[1]:
-        _add_other(row, terms.other[plane, y], terms.shares.other)
-    if len(terms.strips.below) > 0:
-        add_strips_to_row(row, terms.strips, plane, y)
+        _add(row, known.shadow[plane, y], known.shares, known.low, known.high)
+    if y < known.other.shape[1]:
+        _add_other(row, known.other[plane, y], known.shares.other)
+    if len(known.strips.below) > 0:
+        add_strips_to_row(row, known.strips, plane, y)
 
 
 @compiled

@@ -20,10 +20,10 @@ def transformed(
     """
     if isinstance(planes, Blend):
         values = _pairs(torch.empty(planes.shadow.shape))
-        known = plane_transform((*values.shape,), by_row, back=False)
-        if known is not None:
+        transform = plane_transform((*values.shape,), by_row, back=False)
+        if transform is not None:
             made = planes_of(torch.view_as_real(values).flatten(-2))
-            given = (made, planes.terms(), known.call)
+            given = (made, planes.sum(), transform.call)
             _forth.in_spans(*given, count=len(made), numbers=made.size)
             return values
         planes = planes.planes()
@@ -43,12 +43,12 @@ def transformed_back(
         added: what is added to them.
     """
     result = torch.view_as_real(values).flatten(-2)
-    known = None if added is None else plane_transform((*values.shape,), by_row, back=True)
-    if added is None or known is None:
+    transform = None if added is None else plane_transform((*values.shape,), by_row, back=True)
+    if added is None or transform is None:
         transform_(values, by_row=by_row, back=True)
         return result if added is None else added.planes(onto=result)
     made = planes_of(result)
-    _back.in_spans(made, added.terms(), known.call, count=len(made), numbers=made.size)
+    _back.in_spans(made, added.sum(), transform.call, count=len(made), numbers=made.size)
     return result
 
 
@@ -57,24 +57,25 @@ def _pairs(planes: Tensor) -> Tensor:
 
 
 @compiled
-def _forth(planes, terms, call, begin, end):
+def _forth(planes, known, call, begin, end):
     """Planes from and to."""
     for plane in range(begin, end):
         for y in range(planes.shape[1]):
-            blend_row(planes[plane, y], terms, plane, y, True)
-        _transform(planes[plane], call)
+            blend_row(planes[plane, y], known, plane, y, True)
+        transform_one(planes[plane], call)
 
 
 @compiled
-def _back(planes, terms, call, begin, end):
+def _back(planes, known, call, begin, end):
     """Planes from and to."""
     for plane in range(begin, end):
-        _transform(planes[plane], call)
+        transform_one(planes[plane], call)
         for y in range(planes.shape[1]):
-            blend_row(planes[plane, y], terms, plane, y, False)
+            blend_row(planes[plane, y], known, plane, y, False)
 
 
 @compiled
-def _transform(plane, call):
+def transform_one(plane, call):
+    """Transform a plane in place, by a `Call`."""
     if transform_plane(call.address, call.handle, plane) != 0:
         raise MemoryError("there is not enough memory for a Fourier transform")

@@ -49,7 +49,7 @@ class LowPart(NamedTuple):
     window: Float[Tensor, "fy fx"]
 
 
-class _Turns(NamedTuple):
+class Turns(NamedTuple):
     """Of w."""
 
     cos: np.ndarray
@@ -105,14 +105,14 @@ class Pairs:
             other = _numbers(low.spectrum * factor, number, channels)
             window = low.window.expand(other.shape[-2], -1).numpy()
         rows = height if self.by_row else height // 2 + 1
-        given = (seen, symbol.numpy(), _turns(2 * half), known, other, window, self.by_row)
-        _solve_rows.in_spans(*given, count=rows, numbers=seen.size)
+        given = (seen, symbol.numpy(), turns_of(2 * half), known, other, window, self.by_row)
+        solve_rows.in_spans(*given, count=rows, numbers=seen.size)
 
     def low(self, torus: tuple[int, int]) -> Complex[Tensor, "*batch fy fx"]:
         """Return X of low frequencies, as that of a smaller torus; its highest are 0."""
         *batch, _, half = self.values.shape
         result = self.values.new_zeros(*batch, torus[0], torus[1] // 2 + 1)
-        made, given = _numbers(result), (_numbers(self.values), _turns(2 * half), self.by_row)
+        made, given = _numbers(result), (_numbers(self.values), turns_of(2 * half), self.by_row)
         _read_low.in_spans(made, *given, count=math.prod(made.shape[:2]), numbers=made.size)
         return result
 
@@ -124,13 +124,14 @@ def _numbers(values: Tensor, *by: int) -> np.ndarray:
 
 
 @lru_cache(maxsize=16)
-def _turns(width: int) -> _Turns:
+def turns_of(width: int) -> Turns:
+    """Return w of rows of so many pixels."""
     angle = np.arange(width // 2) * (2 * np.pi / width)
-    return _Turns(np.cos(angle).astype(np.float32), np.sin(angle).astype(np.float32))
+    return Turns(np.cos(angle).astype(np.float32), np.sin(angle).astype(np.float32))
 
 
 @compiled
-def _solve_rows(spectrum, symbol, turns, terms, other, window, by_row, begin, end):
+def solve_rows(spectrum, symbol, turns, terms, other, window, by_row, begin, end):
     """Row y and that of the opposite frequencies say all of X at both."""
     items, number, channels, height, twice = spectrum.shape
     half = twice // 2

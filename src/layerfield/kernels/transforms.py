@@ -87,8 +87,10 @@ class Call(NamedTuple):
     handle: int
 
 
-def plane_transform(shape: tuple[int, ...], by_row: bool, back: bool) -> "_PlaneTransform | None":
-    """Return what transforms planes of such values one by one, from compiled loops.
+def plane_transform(
+    shape: tuple[int, ...], by_row: bool, back: bool, times: int = 1
+) -> "_PlaneTransform | None":
+    """Return what transforms planes of such values one by one, so many times, in compiled loops.
 
     Each is done by one thread: that pays where all threads have some, and where planes are small
     enough to stay in the cache meanwhile. Otherwise there is None.
@@ -97,7 +99,8 @@ def plane_transform(shape: tuple[int, ...], by_row: bool, back: bool) -> "_Plane
     threads, library = torch.get_num_threads(), _library()
     if library is None or math.prod(batch) < threads or height * width >= _LARGE:
         return None
-    _note(shape, by_row, back)
+    for _ in range(times):
+        _note(shape, by_row, back)
     return _PlaneTransform(_plan((1, height, width), by_row, 1), back)
 
 

@@ -1,7 +1,7 @@
 """A few steps of the direct solver, each with constants of its own that were learned."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import astuple, dataclass, field, replace
 from functools import partial
 
 from jaxtyping import Float
@@ -9,6 +9,7 @@ from torch import Tensor
 
 from layerfield.frequencies import Apart, Spectral
 from layerfield.kernels.blends import Blend, Shares
+from layerfield.kernels.small_steps import steps_at_once
 from layerfield.solve import Problem
 from layerfield.solvers.fourier_admm import AdmmState, FourierAdmm, right_hand_side
 
@@ -140,12 +141,17 @@ class LearnedAdmm:
         self, coarser: Spectral, seen: Tensor, bounds: tuple[float, float]
     ) -> Tensor:
         """Return the spectrum of s after all coarse steps."""
-        data = coarser.to_pixels(seen).div_(coarser.pixels)
-        shadow, before = data / (coarser.weight * len(coarser.symbol)), None
-        for constants in (each.among(len(coarser.symbol)) for each in self.coarse):
-            right = Blend(_right_shares(coarser, constants), shadow, bounds, data)
-            shadow, before = _moved(coarser, right, shadow, before, bounds, constants), shadow
-        return coarser.to_frequencies(shadow).mul_(coarser.pixels)
+        data, number = coarser.to_pixels(seen).div_(coarser.pixels), len(coarser.symbol)
+        steps, made = [each.among(number) for each in self.coarse], None
+        if coarser.serves(data):
+            known = (data, coarser.symbol, coarser.by_row, coarser.weight, BALANCE, bounds)
+            made = steps_at_once(*known, [astuple(each) for each in steps])
+        if made is None:
+            made, before = data / (coarser.weight * number), None
+            for constants in steps:
+                right = Blend(_right_shares(coarser, constants), made, bounds, data)
+                made, before = _moved(coarser, right, made, before, bounds, constants), made
+        return coarser.to_frequencies(made).mul_(coarser.pixels)
 
 
 def after_step(

@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from dataclasses import replace
@@ -237,3 +239,26 @@ def test_what_cannot_be_kept_on_disk_is_compiled_all_the_same(monkeypatch):
     values = torch.arange(3.0).numpy()
     compiled.compiled(double)(values)
     assert values.tolist() == [0, 2, 4]
+
+
+def test_numbas_own_switch_leaves_everything_to_pytorch():
+    code = (
+        "import torch; from layerfield import Display, procedural_light_field, synthesize\n"
+        "from layerfield.kernels.compiled import is_plain\n"
+        "assert is_plain()\n"
+        "field = procedural_light_field(size=(24, 32), seed=3)\n"
+        "synthesize(field, Display.load('multiplicative-3'), method='fast', iterations=1)\n"
+    )
+    disabled = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+    run = subprocess.run([sys.executable, "-c", code], env=disabled, capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+
+
+def test_what_is_kept_is_named_by_all_compiled_functions(tmp_path, monkeypatch):
+    """One may be inside another of a file that has not changed."""
+    before = compiled._fingerprint()
+    (tmp_path / "compiled.py").write_text("")
+    monkeypatch.setattr(compiled, "__file__", str(tmp_path / "compiled.py"))
+    assert compiled._fingerprint.__wrapped__() != before
+    (tmp_path / "other.py").write_text("1")
+    assert len({compiled._fingerprint.__wrapped__(), before}) == 2

@@ -116,7 +116,9 @@ def _blend(planes, known, is_new, begin, end):
 @compiled
 def blend_row(row, known, plane, y, is_new):
     """Put the sum into a row of a plane, or add it to what is there."""
-    if is_new:
+    if is_new and known.shares.iterate == 0 and known.shares.shadow == 0:
+        row[:] = 0
+    elif is_new:
         _set(row, known.shadow[plane, y], known.shares, known.low, known.high)
     else:
         _add(row, known.shadow[plane, y], known.shares, known.low, known.high)

@@ -1,11 +1,14 @@
 """Functions compiled by Numba when they are first called, and kept on disk for the next process."""
 
+import hashlib
 import math
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from functools import cached_property, update_wrapper
+from functools import cache, cached_property, update_wrapper
 from inspect import unwrap
+from pathlib import Path
 from types import FunctionType
 from typing import Any
 
@@ -21,7 +24,8 @@ _OPTIONS = {"nogil": True, "inline": "always", "fastmath": _FREE, "error_model":
 _SINGLE = (torch.float32, torch.complex64)
 _SPANS = 4  # for every thread: who is held up by others leaves some
 _FEW = 1 << 16
-_PLAIN = ContextVar("plain", default=False)
+# Numba's own switch leaves loops to the interpreter, which would take minutes: PyTorch does not.
+_PLAIN = ContextVar("plain", default=os.environ.get("NUMBA_DISABLE_JIT", "0") not in {"", "0"})
 
 
 @contextmanager
@@ -127,7 +131,18 @@ class native:  # noqa: N801 - a decorator
 def _kept(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
     import numba  # noqa: PLC0415
 
+    function.__qualname__ = f"{function.__name__}_{_fingerprint()}"  # names what is kept on disk
     try:
         return numba.njit(function, cache=True, **options)  # pyright: ignore[reportReturnType]
     except RuntimeError:  # neither beside the source nor in the user's cache can it be kept
         return numba.njit(function, **options)  # pyright: ignore[reportReturnType]
+
+
+@cache
+def _fingerprint() -> str:
+    """Return that of all compiled functions: one has others of other files inside.
+
+    Numba looks at the file of a function alone when it reads what was kept.
+    """
+    files = sorted(Path(__file__).parent.glob("*.py"))
+    return hashlib.sha256(b"".join(each.read_bytes() for each in files)).hexdigest()[:12]

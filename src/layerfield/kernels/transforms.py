@@ -92,12 +92,11 @@ def plane_transform(
 ) -> "_PlaneTransform | None":
     """Return what transforms planes of such values one by one, so many times, in compiled loops.
 
-    Each is done by one thread: that pays where all threads have some, and where planes are small
-    enough to stay in the cache meanwhile. Otherwise there is None.
+    Each is done by one thread: that pays where all threads have some. Otherwise there is None.
     """
     *batch, height, width = shape
     threads, library = torch.get_num_threads(), _library()
-    if library is None or math.prod(batch) < threads or height * width >= _LARGE:
+    if library is None or math.prod(batch) < threads:
         return None
     for _ in range(times):
         _note(shape, by_row, back)

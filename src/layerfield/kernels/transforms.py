@@ -18,6 +18,7 @@ from torch import Tensor
 from layerfield.kernels.compiled import native
 
 _LARGE = 1 << 19  # pixels of a plane from which on it is transformed by itself
+_HUGE = 1 << 21  # from which on all threads transform it together
 # As MKL numbers them.
 _COMPLEX, _COUNT, _INPUT_DISTANCE, _OUTPUT_DISTANCE, _THREADS = 32, 7, 14, 15, 27
 _TORCH = {
@@ -92,11 +93,12 @@ def plane_transform(
 ) -> "_PlaneTransform | None":
     """Return what transforms planes of such values one by one, so many times, in compiled loops.
 
-    Each is done by one thread: that pays where all threads have some. Otherwise there is None.
+    Each is done by one thread: that pays where all threads have some, but for huge planes. There is
+    None otherwise.
     """
     *batch, height, width = shape
     threads, library = torch.get_num_threads(), _library()
-    if library is None or math.prod(batch) < threads:
+    if library is None or math.prod(batch) < threads or height * width >= _HUGE:
         return None
     for _ in range(times):
         _note(shape, by_row, back)

@@ -56,7 +56,10 @@ class Gram:
         (height, width), (my, mx) = view_size, projection.margin
         self.layer_size = (height + 2 * my, width + 2 * mx)
         rows, columns = self.layer_size
-        self.torus = (rows if projection.is_horizontal else fast_length(rows), fast_width(columns))
+        if projection.is_horizontal:  # rows converge slowly where their ends meet without a gap
+            self.torus = (rows, fast_width(columns + mx))
+        else:
+            self.torus = (fast_length(rows), fast_width(columns))
         self._like = like
         self._band = band_of(projection, weights, view_size, self.torus)
 

@@ -19,13 +19,13 @@ def transformed(
         by_row: every row by itself, or both directions.
     """
     if isinstance(planes, Blend):
-        values = _pairs(torch.empty(planes.shadow.shape))
-        transform = plane_transform((*values.shape,), by_row, back=False)
+        *batch, width = planes.shadow.shape
+        transform = plane_transform((*batch, width // 2), by_row, back=False)
         if transform is not None:
-            made = planes_of(torch.view_as_real(values).flatten(-2))
-            given = (made, planes.sum(), transform.call)
-            _forth.in_spans(*given, count=len(made), numbers=made.size)
-            return values
+            result = torch.empty(planes.shadow.shape)
+            made, known = planes_of(result), planes.sum()
+            _forth.in_spans(made, known, transform.call, count=len(made), numbers=made.size)
+            return _pairs(result)
         planes = planes.planes()
     values = _pairs(planes.detach().contiguous())
     transform_(values, by_row=by_row)

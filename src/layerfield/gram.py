@@ -56,8 +56,9 @@ class Gram:
         (height, width), (my, mx) = view_size, projection.margin
         self.layer_size = (height + 2 * my, width + 2 * mx)
         rows, columns = self.layer_size
-        if projection.is_horizontal:  # rows converge slowly where their ends meet without a gap
-            self.torus = (rows, fast_width(columns + mx))
+        if projection.is_horizontal:  # rows whose ends see each other converge more slowly
+            both_ends = 2 * (2 * mx)  # G reaches twice as far as a view
+            self.torus = (rows, fast_width(columns + both_ends))
         else:
             self.torus = (fast_length(rows), fast_width(columns))
         self._like = like

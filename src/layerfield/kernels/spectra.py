@@ -9,6 +9,14 @@ one pixel. With E and O, the spectra of its even and of its odd columns,
 X, the spectrum of the plane, follows from Z at opposite frequencies, and Z from X. Widths are even.
 Planes whose rows do not know of each other are transformed row by row: the frequencies of a row
 have their opposites in the row itself.
+
+Where X(fx) is multiplied by T and X(fx + W / 2) by U, both real, Z need not be taken apart. With
+R = i conj(Z(-f)), S = (T + U) / 2, D = (T - U) / 2 and w = cos - i sin,
+
+    Z'(f) = (S - sin D) Z + cos D R,    R'(f) = (S + sin D) R + cos D Z
+
+Real and imaginary parts are multiplied by the same, and R is a row of Z turned round, number by
+number.
 """
 
 import math
@@ -25,7 +33,7 @@ from layerfield.kernels.blends import Blend
 from layerfield.kernels.compiled import compiled
 from layerfield.kernels.planes import transformed, transformed_back
 
-_HALF = np.float32(0.5)
+_HALF, _ONE = np.float32(0.5), np.float32(1)  # whole numbers would make the rest double
 
 
 class Terms(NamedTuple):
@@ -132,18 +140,20 @@ def turns_of(width: int) -> Turns:
 
 @compiled
 def solve_rows(spectrum, symbol, turns, terms, other, window, by_row, begin, end):
-    """Row y and that of the opposite frequencies say all of X at both."""
+    """Row y and that of the opposite frequencies say all of Z at both."""
     items, number, channels, height, twice = spectrum.shape
     half = twice // 2
-    low = np.zeros((number, number, half), spectrum.dtype)  # of fx
+    low = np.zeros((number, number, half), spectrum.dtype)  # T of fx
     high = np.zeros((number, number, half), spectrum.dtype)  # of fx + W / 2
-    here = np.zeros((2, half), spectrum.dtype)  # Z
-    there = np.zeros((2, half), spectrum.dtype)  # of opposite frequencies
-    seen = np.zeros((4, number, half), spectrum.dtype)  # X at fx, and at fx + W / 2
-    value = np.zeros((4, half), spectrum.dtype)
+    forth = np.zeros((number, number, twice), spectrum.dtype)  # from Z to Z
+    back = np.zeros((number, number, twice), spectrum.dtype)  # from R to R
+    across = np.zeros((number, number, twice), spectrum.dtype)  # from one to the other
+    here = np.zeros((number, twice), spectrum.dtype)  # Z
+    there = np.zeros((number, twice), spectrum.dtype)  # R
+    value = np.zeros((2, twice), spectrum.dtype)  # of both
     for y in range(begin, end):
         opposite = y if by_row else (height - y) % height
-        row, back, is_low = _small_rows(y, len(window), by_row)
+        first, last, is_low = _small_rows(y, len(window), by_row)
         if y == begin or not by_row:
             for k in range(number):
                 for m in range(k, number):
@@ -151,20 +161,25 @@ def solve_rows(spectrum, symbol, turns, terms, other, window, by_row, begin, end
                     _read_back(high[k, m], symbol[k, m, 0 if by_row else opposite])
             _invert(low, terms, y == 0)
             _invert(high, terms, False)
+            for k in range(number):
+                for m in range(k, number):
+                    if is_low:
+                        _leave_out_low(low[k, m], high[k, m], window[first], window[last])
+                    entries = low[k, m], high[k, m], forth[k, m], back[k, m], across[k, m]
+                    _pair(entries, turns)
         for item in range(items):
             for channel in range(channels):
                 for k in range(number):
-                    _split(spectrum[item, k, channel, y], here[0], here[1])
-                    _split_back(spectrum[item, k, channel, opposite], there[0], there[1])
-                    _part(here, there, turns, seen[:, k])
+                    _copy(spectrum[item, k, channel, y], here[k])
+                    _turn_round(spectrum[item, k, channel, opposite], there[k])
                 for k in range(number):
-                    for part in range(4):
-                        _multiply(low if part < 2 else high, seen[part], k, value[part])
+                    _multiply(forth, across, here, there, k, value[0])
+                    _multiply(back, across, there, here, k, value[1])
                     if is_low:
-                        _replace(value, other[item, k, channel], window, row, back)
-                    _unite(value, turns, here, there)
-                    _join_back(there[0], there[1], spectrum[item, k, channel, opposite])
-                    _join(here[0], here[1], spectrum[item, k, channel, y])
+                        count = window.shape[1] - 1  # without the highest
+                        _add_low(value, other[item, k, channel], first, last, count, turns)
+                    _turn_round(value[1], spectrum[item, k, channel, opposite])
+                    _copy(value[0], spectrum[item, k, channel, y])
 
 
 @compiled
@@ -176,17 +191,35 @@ def _small_rows(y, height, by_row):
 
 
 @compiled
-def _replace(value, other, window, row, back):
-    """Frequency -fx is at W - fx: among the second half of X, conjugated."""
-    half, count = value.shape[1], window.shape[1] - 1  # without the highest
+def _leave_out_low(low, high, window, opposite):
+    """Frequency -fx is at W - fx, among those of the second half."""
+    count = len(window) - 1
     for x in range(count):
-        rest = 1 - window[row, x]
-        value[0, x] = rest * value[0, x] + other[row, 2 * x]
-        value[1, x] = rest * value[1, x] + other[row, 2 * x + 1]
+        low[x] *= _ONE - window[x]
     for x in range(1, count):
-        rest = 1 - window[back, x]
-        value[2, half - x] = rest * value[2, half - x] + other[back, 2 * x]
-        value[3, half - x] = rest * value[3, half - x] - other[back, 2 * x + 1]
+        high[len(high) - x] *= _ONE - opposite[x]
+
+
+@compiled
+def _add_low(value, other, row, opposite, count, turns):
+    """Add X of low frequencies to Z and R."""
+    half = value.shape[1] // 2
+    for x in range(count):
+        real, imaginary = other[row, 2 * x], other[row, 2 * x + 1]
+        _add_one(value, x, real, imaginary, turns.cos[x], turns.sin[x])
+    for x in range(1, count):  # E - w O is that of the second half
+        real, imaginary, h = other[opposite, 2 * x], -other[opposite, 2 * x + 1], half - x
+        _add_one(value, h, real, imaginary, -turns.cos[h], -turns.sin[h])
+
+
+@compiled
+def _add_one(value, x, real, imaginary, cos, sin):
+    """E = w O = X / 2."""
+    less, more = _ONE - sin, _ONE + sin
+    value[0, 2 * x] += _HALF * (less * real - cos * imaginary)
+    value[0, 2 * x + 1] += _HALF * (less * imaginary + cos * real)
+    value[1, 2 * x] += _HALF * (cos * real - more * imaginary)
+    value[1, 2 * x + 1] += _HALF * (cos * imaginary + more * real)
 
 
 @compiled
@@ -231,80 +264,43 @@ def _read_back(entry, row):
 
 
 @compiled
-def _split(row, real, imaginary):
-    for x in range(len(real)):
-        real[x] = row[2 * x]
-        imaginary[x] = row[2 * x + 1]
+def _copy(row, other):
+    for x in range(len(other)):
+        other[x] = row[x]
 
 
 @compiled
-def _split_back(row, real, imaginary):
-    """The same, from frequency -fx; zero is its own opposite."""
-    real[0] = row[0]
-    imaginary[0] = row[1]
-    rest, later, other, last = row[2:], real[1:], imaginary[1:], np.uintp(len(real) - 2)
+def _turn_round(row, other):
+    """From Z of one row to R of the other, and back; frequency zero is its own opposite."""
+    other[0] = row[1]
+    other[1] = row[0]
+    rest, later, last = row[2:], other[2:], np.uintp(len(row) - 3)
     for x in range(last + np.uintp(1)):
-        later[x] = rest[2 * (last - x)]
-        other[x] = rest[2 * (last - x) + 1]
+        later[x] = rest[last - x]
 
 
 @compiled
-def _join(real, imaginary, row):
-    for x in range(len(real)):
-        row[2 * x] = real[x]
-        row[2 * x + 1] = imaginary[x]
+def _pair(entries, turns):
+    """Find what leads from Z and R to Z and R; the same for real and imaginary parts."""
+    low, high, forth, back, across = entries
+    for x in range(len(low)):
+        mean, half = _HALF * (low[x] + high[x]), _HALF * (low[x] - high[x])
+        forth[2 * x] = forth[2 * x + 1] = mean - turns.sin[x] * half
+        back[2 * x] = back[2 * x + 1] = mean + turns.sin[x] * half
+        across[2 * x] = across[2 * x + 1] = turns.cos[x] * half
 
 
 @compiled
-def _join_back(real, imaginary, row):
-    row[0] = real[0]
-    row[1] = imaginary[0]
-    rest, later, other, last = row[2:], real[1:], imaginary[1:], np.uintp(len(real) - 2)
-    for x in range(last + np.uintp(1)):
-        rest[2 * (last - x)] = later[x]
-        rest[2 * (last - x) + 1] = other[x]
-
-
-@compiled
-def _part(here, there, turns, seen):
-    """Find E + w O and E - w O from Z(f) and Z(-f)."""
-    zr, zi, yr, yi, cos, sin = here[0], here[1], there[0], there[1], turns.cos, turns.sin
-    ar, ai, br, bi = seen[0], seen[1], seen[2], seen[3]
-    for x in range(len(zr)):
-        er, ei = _HALF * (zr[x] + yr[x]), _HALF * (zi[x] - yi[x])
-        qr, qi = _HALF * (zi[x] + yi[x]), _HALF * (yr[x] - zr[x])
-        wr, wi = cos[x] * qr + sin[x] * qi, cos[x] * qi - sin[x] * qr
-        ar[x] = er + wr
-        ai[x] = ei + wi
-        br[x] = er - wr
-        bi[x] = ei - wi
-
-
-@compiled
-def _unite(value, turns, here, there):
-    """Find Z(f) and Z(-f) from E + w O and E - w O."""
-    zr, zi, yr, yi, cos, sin = here[0], here[1], there[0], there[1], turns.cos, turns.sin
-    ar, ai, br, bi = value[0], value[1], value[2], value[3]
-    for x in range(len(zr)):
-        er, ei = _HALF * (ar[x] + br[x]), _HALF * (ai[x] + bi[x])
-        wr, wi = _HALF * (ar[x] - br[x]), _HALF * (ai[x] - bi[x])
-        qr, qi = cos[x] * wr - sin[x] * wi, cos[x] * wi + sin[x] * wr
-        zr[x] = er - qi
-        zi[x] = ei + qr
-        yr[x] = er + qi
-        yi[x] = qr - ei
-
-
-@compiled
-def _multiply(matrix, seen, k, value):
-    """Find row k of a symmetric matrix, of which there is the part above its diagonal, times X."""
-    entry, plane = matrix[0, k], seen[0]
-    for x in range(len(value)):
-        value[x] = entry[x] * plane[x]
-    for m in range(1, len(seen)):
-        entry, plane = _entry(matrix, k, m), seen[m]
-        for x in range(len(value)):
-            value[x] += entry[x] * plane[x]
+def _multiply(matrix, across, seen, opposite, k, value):
+    """Find row k of symmetric matrices, of which there is the part above the diagonal, times Z."""
+    for m in range(len(seen)):
+        one, other, z, r = _entry(matrix, k, m), _entry(across, k, m), seen[m], opposite[m]
+        if m == 0:
+            for x in range(len(value)):
+                value[x] = one[x] * z[x] + other[x] * r[x]
+        else:
+            for x in range(len(value)):
+                value[x] += one[x] * z[x] + other[x] * r[x]
 
 
 @compiled
@@ -335,7 +331,7 @@ def _balance(matrix, balance):
 def _sweep(matrix, k):
     pivot = matrix[k, k]
     for x in range(len(pivot)):
-        pivot[x] = 1 / pivot[x]
+        pivot[x] = _ONE / pivot[x]
     for i in range(len(matrix)):
         for j in range(i, len(matrix)):
             if k not in (i, j):

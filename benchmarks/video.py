@@ -234,4 +234,7 @@ if __name__ == "__main__":
     parser.add_argument("videos", nargs="*", metavar="VIDEO", help=", ".join(VIDEOS))
     parser.add_argument("--car", type=Path)
     given = parser.parse_args()
+    known = [*VIDEOS, *(["car"] if given.car else [])]
+    if unknown := [name for name in given.videos if name not in known]:
+        parser.error(f"found video '{unknown[0]}', expected any of: {', '.join(known)}")
     main(given.out, given.videos, given.car)

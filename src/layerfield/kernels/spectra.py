@@ -153,7 +153,7 @@ def solve_rows(spectrum, symbol, turns, terms, other, window, by_row, begin, end
     value = np.zeros((2, twice), spectrum.dtype)  # of both
     for y in range(begin, end):
         opposite = y if by_row else (height - y) % height
-        first, last, is_low = _small_rows(y, len(window), by_row)
+        small, turned, is_low = _small_rows(y, len(window), by_row)
         if y == begin or not by_row:
             for k in range(number):
                 for m in range(k, number):
@@ -164,7 +164,7 @@ def solve_rows(spectrum, symbol, turns, terms, other, window, by_row, begin, end
             for k in range(number):
                 for m in range(k, number):
                     if is_low:
-                        _leave_out_low(low[k, m], high[k, m], window[first], window[last])
+                        _leave_out_low(low[k, m], high[k, m], window[small], window[turned])
                     entries = low[k, m], high[k, m], forth[k, m], back[k, m], across[k, m]
                     _pair(entries, turns)
         for item in range(items):
@@ -177,7 +177,7 @@ def solve_rows(spectrum, symbol, turns, terms, other, window, by_row, begin, end
                     _multiply(back, across, there, here, k, value[1])
                     if is_low:
                         count = window.shape[1] - 1  # without the highest
-                        _add_low(value, other[item, k, channel], first, last, count, turns)
+                        _add_low(value, other[item, k, channel], small, turned, count, turns)
                     _turn_round(value[1], spectrum[item, k, channel, opposite])
                     _copy(value[0], spectrum[item, k, channel, y])
 

@@ -199,10 +199,10 @@ def told(name: str, made: dict) -> str:
     return f"{name}: " + ", ".join(f"{run} {row['max']:.1%}" for run, row in runs)
 
 
-def main(out: Path, names: list[str], car_folder: Path | None) -> None:
+def main(out: Path, names: list[str], of_car: list[LightField] | None) -> None:
     torch.set_num_threads(1)
     parts = {name: lambda name=name: fields(VIDEOS[name]()) for name in VIDEOS}
-    parts |= {"car": lambda: car(car_folder)} if car_folder else {}
+    parts |= {"car": lambda: of_car} if of_car else {}
     found: dict[str, dict] = {}
     record = {
         "command": " ".join(
@@ -210,7 +210,7 @@ def main(out: Path, names: list[str], car_folder: Path | None) -> None:
                 "python benchmarks/video.py",
                 out.name,
                 *names,
-                *(["--car FOLDER"] if car_folder else []),
+                *(["--car FOLDER"] if of_car else []),
             ]
         ),
         "made_with": provenance(torch.device("cpu")),
@@ -237,4 +237,8 @@ if __name__ == "__main__":
     known = [*VIDEOS, *(["car"] if given.car else [])]
     if unknown := [name for name in given.videos if name not in known]:
         parser.error(f"found video '{unknown[0]}', expected any of: {', '.join(known)}")
-    main(given.out, given.videos, given.car)
+    try:
+        frames = car(given.car) if given.car else None
+    except ValueError as error:
+        parser.error(str(error))
+    main(given.out, given.videos, frames)

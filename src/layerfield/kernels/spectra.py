@@ -170,7 +170,7 @@ def solve_rows(spectrum, symbol, turns, terms, other, window, by_row, begin, end
         for item in range(items):
             for channel in range(channels):
                 for k in range(number):
-                    _copy(spectrum[item, k, channel, y], here[k])
+                    _read(here[k], spectrum[item, k, channel, y])
                     _turn_round(spectrum[item, k, channel, opposite], there[k])
                 for k in range(number):
                     _multiply(forth, across, here, there, k, value[0])
@@ -179,7 +179,7 @@ def solve_rows(spectrum, symbol, turns, terms, other, window, by_row, begin, end
                         count = window.shape[1] - 1  # without the highest
                         _add_low(value, other[item, k, channel], small, turned, count, turns)
                     _turn_round(value[1], spectrum[item, k, channel, opposite])
-                    _copy(value[0], spectrum[item, k, channel, y])
+                    _read(spectrum[item, k, channel, y], value[0])
 
 
 @compiled
@@ -261,12 +261,6 @@ def _read_back(entry, row):
     last = np.uintp(len(entry))  # a whole number that may be negative would keep loops scalar
     for x in range(last):
         entry[x] = row[last - x]
-
-
-@compiled
-def _copy(row, other):
-    for x in range(len(other)):
-        other[x] = row[x]
 
 
 @compiled

@@ -78,7 +78,7 @@ def test_planes_are_summed_up_beside_their_transforms(shape, by_row, monkeypatch
         again = there_and_back()
     pairs = (*shape[:-1], shape[-1] // 2)
     assert made == [(pairs, by_row, False), (pairs, by_row, True)]
-    monkeypatch.setattr(transforms, "_library", lambda: None)
+    monkeypatch.setattr(transforms, "_maker", lambda: None)
     expected = there_and_back()
     for one, same, other in zip(found, again, expected, strict=True):
         assert torch.equal(one, same)

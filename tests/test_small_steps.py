@@ -55,7 +55,7 @@ def test_others_are_made_one_by_one(monkeypatch):
     expected = solver._solved_coarsely(grid, seen, BOUNDS)
     for where, name, other in (
         (small_steps, "_SMALL", 40 * 36),
-        (transforms, "_library", lambda: None),
+        (transforms, "_maker", lambda: None),
     ):
         with monkeypatch.context() as patch:
             patch.setattr(where, name, other)

@@ -1,5 +1,7 @@
 """Compiled passes over spectra: right whatever the display and the size."""
 
+from contextlib import nullcontext
+
 import pytest
 import torch
 from displays import SHOWN
@@ -8,8 +10,8 @@ from layerfield import Display
 from layerfield.display_spec import parse_spec
 from layerfield.frequencies import Apart, Spectral, low
 from layerfield.gram import spectral_of
-from layerfield.kernels import transforms
-from layerfield.kernels.compiled import serve
+from layerfield.kernels import mkl
+from layerfield.kernels.compiled import plain, serve
 from layerfield.kernels.spectra import Pairs
 from layerfield.kernels.transforms import transform_, transforms_made
 
@@ -19,15 +21,22 @@ SIZES = [(6, 8), (9, 14), (1, 2), (10, 4), (7, 10), (40, 36)]
 @pytest.fixture(params=[0, 1 << 19])
 def large(request, monkeypatch):
     """Planes one by one, or all at once."""
-    monkeypatch.setattr(transforms, "_LARGE", request.param)
+    monkeypatch.setattr(mkl, "_LARGE", request.param)
 
 
-@pytest.fixture(params=["MKL", "PyTorch"])
+@pytest.fixture(params=["MKL", "compiled", "PyTorch"])
 def library(request, monkeypatch):
-    if request.param == "PyTorch":
-        monkeypatch.setattr(transforms, "_library", lambda: None)
-    elif transforms._library() is None:
-        pytest.skip("PyTorch computes with another library here")
+    if request.param == "MKL":
+        monkeypatch.setattr(mkl, "is_intel", lambda: True)
+        mkl.library.cache_clear()
+        if mkl.library() is None:
+            pytest.skip("PyTorch computes with another library here")
+        yield
+        mkl.library.cache_clear()
+    else:
+        monkeypatch.setattr(mkl, "library", lambda: None)
+        with plain() if request.param == "PyTorch" else nullcontext():
+            yield
 
 
 def spectral(
@@ -53,8 +62,11 @@ def near(found: torch.Tensor, expected: torch.Tensor) -> bool:
 
 @pytest.mark.usefixtures("large", "library")
 @pytest.mark.parametrize("by_row", [False, True])
-@pytest.mark.parametrize("size", [(1, 1), (9, 7), (10, 4), (40, 36)])
-def test_transforms_are_those_of_pytorch_without_factors(size, by_row):
+@pytest.mark.parametrize("size", [(1, 1), (9, 7), (10, 4), (17, 3), (40, 36), (44, 208)])
+@pytest.mark.parametrize("threads", [2, 7])
+def test_transforms_are_those_of_pytorch_without_factors(size, by_row, threads):
+    """Planes one by one where all threads have some, or by all threads together."""
+    torch.set_num_threads(threads)
     generator = torch.Generator().manual_seed(5)
     values = torch.randn(2, 3, *size, dtype=torch.complex64, generator=generator)
     forth = torch.fft.fft if by_row else torch.fft.fft2

@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from functools import cache, cached_property, update_wrapper
+from functools import cache, cached_property, partial, update_wrapper
 from inspect import unwrap
 from pathlib import Path
 from types import FunctionType
@@ -95,17 +95,38 @@ class compiled:  # noqa: N801 - a decorator
     @cached_property
     def dispatcher(self) -> Callable[..., Any]:
         """Numba's own."""
+        import numba  # noqa: PLC0415
+
+        return _kept(numba.njit, self._resolved, **_OPTIONS)
+
+    @cached_property
+    def address(self) -> int:
+        """Where C, and compiled functions, call it as `long (*)(void *, void *)`.
+
+        What is called is compiled once, and not inside of each that calls it.
+        """
+        import numba  # noqa: PLC0415
+
+        compile_for = partial(numba.cfunc, "int64(voidptr, voidptr)")
+        options = {name: _OPTIONS[name] for name in ("fastmath", "error_model")}
+        return _kept(compile_for, self._resolved, nopython=True, **options).address
+
+    @property
+    def _resolved(self) -> FunctionType:
+        """The function, with those of Numba in the place of others that it calls."""
         code, known = self._function.__code__, {**self._function.__globals__}
         for name in code.co_names:
             if isinstance(each := known.get(name), compiled | native):
                 known[name] = each.dispatcher
-        return _kept(FunctionType(code, known, self._function.__name__), **_OPTIONS)
+        return FunctionType(code, known, self._function.__name__)
 
     @cached_property
     def _region(self) -> Callable[..., int]:
+        import numba  # noqa: PLC0415
+
         from layerfield.kernels.regions import region_of  # noqa: PLC0415
 
-        return _kept(region_of(self._function, self.dispatcher), nogil=True)
+        return _kept(numba.njit, region_of(self._function, self.dispatcher), nogil=True)
 
 
 class native:  # noqa: N801 - a decorator
@@ -128,14 +149,13 @@ class native:  # noqa: N801 - a decorator
         return self._find()
 
 
-def _kept(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
-    import numba  # noqa: PLC0415
-
+def _kept(compile_for: Callable[..., Any], function: FunctionType, **options: Any) -> Any:
+    """Return what Numba makes of a function, kept on disk where there is a place for it."""
     function.__qualname__ = f"{function.__name__}_{_fingerprint()}"  # names what is kept on disk
     try:
-        return numba.njit(function, cache=True, **options)  # pyright: ignore[reportReturnType]
+        return compile_for(cache=True, **options)(function)
     except RuntimeError:  # neither beside the source nor in the user's cache can it be kept
-        return numba.njit(function, **options)  # pyright: ignore[reportReturnType]
+        return compile_for(**options)(function)
 
 
 @cache

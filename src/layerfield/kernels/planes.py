@@ -6,7 +6,7 @@ from torch import Tensor
 
 from layerfield.kernels.blends import Blend, blend_row, planes_of
 from layerfield.kernels.compiled import compiled
-from layerfield.kernels.transforms import plane_transform, transform_, transform_plane
+from layerfield.kernels.transforms import call_of, plane_transform, transform_, transform_one
 
 
 def transformed(
@@ -24,7 +24,7 @@ def transformed(
         if transform is not None:
             result = torch.empty(planes.shadow.shape)
             made, known = planes_of(result), planes.sum()
-            _forth.in_spans(made, known, transform.call, count=len(made), numbers=made.size)
+            _forth.in_spans(made, known, call_of(transform), count=len(made), numbers=made.size)
             return _pairs(result)
         planes = planes.planes()
     values = _pairs(planes.detach().contiguous())
@@ -48,7 +48,7 @@ def transformed_back(
         transform_(values, by_row=by_row, back=True)
         return result if added is None else added.planes(onto=result)
     made = planes_of(result)
-    _back.in_spans(made, added.sum(), transform.call, count=len(made), numbers=made.size)
+    _back.in_spans(made, added.sum(), call_of(transform), count=len(made), numbers=made.size)
     return result
 
 
@@ -72,10 +72,3 @@ def _back(planes, known, call, begin, end):
         transform_one(planes[plane], call)
         for y in range(planes.shape[1]):
             blend_row(planes[plane, y], known, plane, y, False)
-
-
-@compiled
-def transform_one(plane, call):
-    """Transform a plane in place, by a `Call`."""
-    if transform_plane(call.address, call.handle, plane) != 0:
-        raise MemoryError("there is not enough memory for a Fourier transform")

@@ -10,10 +10,9 @@ from torch import Tensor
 
 from layerfield.kernels.blends import Shares, Sum, blend_row
 from layerfield.kernels.compiled import compiled
-from layerfield.kernels.planes import transform_one
 from layerfield.kernels.spectra import Terms, Turns, solve_rows, turns_of
 from layerfield.kernels.strips import NO_STRIPS, Strips
-from layerfield.kernels.transforms import Call, plane_transform
+from layerfield.kernels.transforms import Call, call_of, plane_transform, transform_one
 
 _SMALL = 1 << 16  # pixels of a plane; from there on more threads are worth more than the cache
 _NONE = np.zeros((0, 0, 0), np.float32)
@@ -90,8 +89,8 @@ def steps_at_once(
         low=np.float32(bounds[0]),
         high=np.float32(bounds[1]),
         strips=NO_STRIPS,
-        forth=forth.call,
-        back=back.call,
+        forth=call_of(forth),
+        back=call_of(back),
         by_row=by_row,
     )
     given = (made.numpy(), seen.numpy(), np.array(constants, np.float32), known)

@@ -17,6 +17,7 @@ from torch import Tensor
 from layerfield.kernels.blends import Blend
 from layerfield.kernels.compiled import serve
 from layerfield.kernels.spectra import LowPart, Pairs, Terms
+from layerfield.kernels.three_passes import solved_in_three_passes
 
 _MOST_KEPT = 1 << 31  # bytes of the resolvents of a display: those of `fast` up to 8 megapixels
 
@@ -128,12 +129,17 @@ class Spectral:
                 replace_low_part_(seen, apart.solve(taken), apart.grid)
             result = self.to_pixels(seen)
             return result if added is None else added.planes(onto=result)
+        pull, rho = 0 if self.by_row else balance * self.weight, penalty * self.weight
+        terms = Terms(rho, pull, gain * rho, kept)
+        if isinstance(planes, Blend) and added is not None and apart is None and not self.by_row:
+            made = solved_in_three_passes(planes, self.symbol, terms, added)
+            if made is not None:
+                return made
         pairs, other = Pairs.of(planes, self.by_row), None
         if apart is not None:
             window = apart.grid.window
             other = LowPart(apart.solve(pairs.low(apart.grid.torus) * window), window)
-        pull, rho = 0 if self.by_row else balance * self.weight, penalty * self.weight
-        pairs.solve_(self.symbol, Terms(rho, pull, gain * rho, kept), other)
+        pairs.solve_(self.symbol, terms, other)
         return pairs.planes(added)
 
     def solved_frequencies(

@@ -62,7 +62,7 @@ class FourierTransform:
         across, down = radices_of(width), radices_of(1 if by_row else height)
         assert across is not None
         assert down is not None
-        turns = _turns(width), _turns(1 if by_row else height)
+        turns = turns_of_length(width), turns_of_length(1 if by_row else height)
         self._plan = _Plan(across, down, *turns, by_row, back)
         head = [height, width, len(across), len(down), int(by_row), int(back)]
         parts = np.array(head, np.int64), across, down, *turns
@@ -100,7 +100,8 @@ def plane_transform_of(
     return FourierTransform(height, width, by_row, back)
 
 
-def _turns(length: int) -> np.ndarray:
+def turns_of_length(length: int) -> np.ndarray:
+    """Return cos and sin of 2 pi t / n, side by side."""
     angle = np.arange(length) * (2 * np.pi / length)
     return np.stack([np.cos(angle), np.sin(angle)], axis=-1).astype(np.float32).ravel()
 
@@ -184,7 +185,9 @@ def _transform_rows(planes, plan, begin, end):
         for group in range(groups):
             place = group * LANES * _GROUP
             _take_rows(there, first + group * _GROUP, step, one, place, plan.back)
-        is_in_one = _transform(plan.across, width, one, 0, _GROUP, other, one, plan.turns_across)
+        is_in_one = transform_groups(
+            plan.across, width, one, 0, _GROUP, other, one, plan.turns_across
+        )
         made = one if is_in_one else other
         for group in range(groups):
             place, apart = group * LANES * _GROUP, not plan.by_row and (group + 1) * LANES <= width
@@ -217,7 +220,9 @@ def _transform_columns(planes, plan, begin, end):
                     aside[y * _GROUP + x] = there[y * pitch + first + 2 * x]
                     aside[y * _GROUP + LANES + x] = there[y * pitch + first + 2 * x + 1]
             seen, begun, step = aside, 0, _GROUP
-        is_in_one = _transform(plan.down, height, seen, begun, step, other, one, plan.turns_down)
+        is_in_one = transform_groups(
+            plan.down, height, seen, begun, step, other, one, plan.turns_down
+        )
         made = one if is_in_one else other
         for y in range(height):
             if columns == LANES:
@@ -229,7 +234,7 @@ def _transform_columns(planes, plan, begin, end):
 
 
 @compiled
-def _transform(radices, length, seen, begin, step, other, one, turns):
+def transform_groups(radices, length, seen, begin, step, other, one, turns):
     """Transform lane groups; return whether what was made is in `one`, or else in `other`.
 
     Args:

@@ -325,3 +325,129 @@ def _transposed(builder: Any, rows: Sequence[Any]) -> list[Any]:
                 )
         size *= 2
     return made
+
+
+@intrinsic
+@_loop
+def take_groups(
+    builder: Any, seen: _Memory, begin: Any, pitch: Any, made: _Memory, place: Any
+) -> None:
+    """Put a lane group of each of eight rows into eight lane groups; arguments as of `take_rows`."""
+    rows = [builder.add(begin, builder.mul(pitch, pitch.type(row))) for row in range(LANES)]
+    for offset in (0, LANES):
+        parts = [seen.read(builder.add(row, row.type(offset))) for row in rows]
+        for number, column in enumerate(_transposed(builder, parts)):
+            made.write(column, builder.add(place, place.type(_GROUP * number + offset)))
+
+
+@intrinsic
+@_loop
+def swap_group(builder: Any, seen: _Memory, begin: Any, made: _Memory, place: Any) -> None:
+    """Put a lane group somewhere else, with imaginary and real parts in each other's place."""
+    far = begin.type(LANES)
+    real, imaginary = seen.read(begin), seen.read(builder.add(begin, far))
+    made.write(imaginary, place)
+    made.write(real, builder.add(place, far))
+
+
+@intrinsic
+@_loop
+def take_lanes(builder: Any, seen: _Memory, begin: Any, made: _Memory, place: Any) -> None:
+    """Copy eight numbers."""
+    made.write(seen.read(begin), place)
+
+
+@intrinsic
+@_loop
+def add_products(
+    builder: Any,
+    matrix: _Memory,
+    entry: Any,
+    step: Any,
+    seen: _Memory,
+    group: Any,
+    stride: Any,
+    count: Any,
+    made: _Memory,
+    place: Any,
+) -> None:
+    """Put the sum of so many products somewhere, imaginary parts first.
+
+    Args:
+        builder: of what is compiled.
+        matrix: eight real numbers for every lane group.
+        entry: where the first are.
+        step: from one to the next.
+        seen: lane groups.
+        group: where the first is.
+        stride: from one to the next.
+        count: how many.
+        made: where the sum comes.
+        place: in that.
+    """
+    nothing, sums = ir.Constant(_VECTOR, [0.0] * LANES), list[Any]()
+    for _ in range(2):
+        sums.append(cgutils.alloca_once_value(builder, nothing))
+    with cgutils.for_range(builder, count) as loop:
+        factor = _Lanes(builder, matrix.read(builder.add(entry, builder.mul(loop.index, step))))
+        x = _read_complex(builder, seen, builder.add(group, builder.mul(loop.index, stride)))
+        for total, part in zip(sums, (x.real, x.imaginary), strict=True):
+            added = _Lanes(builder, builder.load(total)) + part * factor
+            builder.store(added.value, total)
+    real, imaginary = (_Lanes(builder, builder.load(total)) for total in sums)
+    _write_complex(builder, made, place, _Complex(imaginary, real))
+
+
+@intrinsic
+@_loop
+def pairs_to_spectrum(
+    builder: Any, values: _Memory, near: Any, far: Any, other: Any, turns: _Memory, x: Any
+) -> None:
+    """Find X(x) and X(W/2 - x) of Z at both frequencies; see `spectra`.
+
+    Args:
+        builder: of what is compiled.
+        values: lane groups.
+        near: where Z(x) is, and X(x) will be.
+        far: where Z(-x) is.
+        other: where X(W/2 - x) will be.
+        turns: cos and sin of 2 pi t / W.
+        x: the frequency.
+    """
+    z, y = _read_complex(builder, values, near), _read_complex(builder, values, far)
+    even = _Complex(z.real + y.real, z.imaginary - y.imaginary).times(0.5)
+    odd = _Complex(z.imaginary + y.imaginary, y.real - z.real).times(0.5)
+    odd = odd.turned(*_turn(builder, turns, x))
+    _write_complex(builder, values, near, even + odd)
+    found = even - odd
+    _write_complex(builder, values, other, _Complex(found.real, _negative(found.imaginary)))
+
+
+@intrinsic
+@_loop
+def spectrum_to_pairs(
+    builder: Any, values: _Memory, near: Any, far: Any, turns: _Memory, x: Any
+) -> None:
+    """Find Z(x) and Z(W/2 - x) of X at both, imaginary parts first; see `pairs_to_spectrum`."""
+    one, other = _read_complex(builder, values, near), _read_complex(builder, values, far)
+    even = _Complex(one.real + other.real, one.imaginary - other.imaginary).times(0.5)
+    odd = _Complex(one.real - other.real, one.imaginary + other.imaginary).times(0.5)
+    cos, sin = _turn(builder, turns, x)
+    real, imaginary = (
+        odd.real * cos - odd.imaginary * sin,
+        odd.imaginary * cos + odd.real * sin,
+    )
+    z = _Complex(even.imaginary + real, even.real - imaginary)
+    _write_complex(builder, values, near, z)
+    z = _Complex(real - even.imaginary, even.real + imaginary)
+    _write_complex(builder, values, far, z)
+
+
+def _read_complex(builder: Any, values: _Memory, place: Any) -> _Complex:
+    parts = (values.read(place), values.read(builder.add(place, place.type(LANES))))
+    return _Complex(*(_Lanes(builder, part) for part in parts))
+
+
+def _write_complex(builder: Any, values: _Memory, place: Any, found: _Complex) -> None:
+    values.write(found.real.value, place)
+    values.write(found.imaginary.value, builder.add(place, place.type(LANES)))

@@ -159,8 +159,8 @@ def solve_rows(spectrum, symbol, turns, terms, other, window, by_row, begin, end
                 for m in range(k, number):
                     _read(low[k, m], symbol[k, m, 0 if by_row else y])
                     _read_back(high[k, m], symbol[k, m, 0 if by_row else opposite])
-            _invert(low, terms, y == 0)
-            _invert(high, terms, False)
+            invert(low, terms, y == 0)
+            invert(high, terms, False)
             for k in range(number):
                 for m in range(k, number):
                     if is_low:
@@ -298,7 +298,7 @@ def _multiply(matrix, across, seen, opposite, k, value):
 
 
 @compiled
-def _invert(matrix, terms, is_first):
+def invert(matrix, terms, is_first):
     """Find g (G + rho I)^-1 + k I: sweeps over all pivots end with minus the inverse."""
     number = len(matrix)
     for k in range(number):

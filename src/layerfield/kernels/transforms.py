@@ -65,7 +65,7 @@ def transform_(
     if not values.is_contiguous() or values.dtype != torch.complex64 or values.is_conj():
         found = f"{values.dtype}, strides {values.stride()}"
         raise ValueError(f"found {found}, expected contiguous complex64 values")
-    _note((*values.shape,), by_row, back)
+    note_transform((*values.shape,), by_row, back)
     planes = values.view(-1, *values.shape[-2:])
     if (transform := _transform_of(values.shape, by_row, back)) is None:
         norm = "forward" if back else "backward"
@@ -96,7 +96,7 @@ def plane_transform(
     if transform is None or not _is_for_each(transform, math.prod(shape[:-2])):
         return None
     for _ in range(times):
-        _note(shape, by_row, back)
+        note_transform(shape, by_row, back)
     return transform
 
 
@@ -130,7 +130,8 @@ def _is_for_each(transform: PlaneTransform, count: int) -> bool:
     return transform.is_for_one_thread and count >= torch.get_num_threads()
 
 
-def _note(shape: tuple[int, ...], by_row: bool, back: bool) -> None:
+def note_transform(shape: tuple[int, ...], by_row: bool, back: bool) -> None:
+    """Add one to `transforms_made`."""
     if (made := _MADE.get()) is not None:
         made.append(Transform(shape, by_row, back))
 

@@ -1,0 +1,271 @@
+"""Planes multiplied by (G + rho I)^-1 in three passes over memory.
+
+Rows are summed up and transformed, eight at a time; then columns are transformed, multiplied, and
+transformed back while those of all layers are in the cache; then rows are transformed back, and
+summed up with what else there is. What is between passes is X, the spectrum of real rows, in lane
+groups (see `lanes`): frequencies 0 to W / 2.
+
+Planes one after the other, as `planes` and `spectra` have them, go over memory twice as often, which
+costs nothing where they fit into the cache.
+"""
+
+import math
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from layerfield.kernels import mkl
+from layerfield.kernels.blends import Blend, blend_row, planes_of
+from layerfield.kernels.compiled import compiled, native
+from layerfield.kernels.fourier import transform_groups, turns_of_length
+from layerfield.kernels.radices import LANES, radices_of
+from layerfield.kernels.spectra import Terms, invert
+from layerfield.kernels.transforms import note_transform
+
+_GROUP = 2 * LANES
+_LARGE = 1 << 20  # pixels of a plane from which on memory is what takes time
+
+
+class _Plan(NamedTuple):
+    """Of planes of one size.
+
+    Args:
+        across: radices of rows, as pairs.
+        down: of columns.
+        turns_across: cos and sin of 2 pi t / n of rows, as pairs.
+        turns_down: of columns.
+        turns: of rows as they are.
+    """
+
+    across: np.ndarray
+    down: np.ndarray
+    turns_across: np.ndarray
+    turns_down: np.ndarray
+    turns: np.ndarray
+
+
+def solved_in_three_passes(
+    planes: Blend,
+    symbol: Float[Tensor, "layer layer fy fx"],
+    terms: Terms,
+    added: Blend,
+) -> Float[Tensor, "*batch layer c ty tx"] | None:
+    """Return planes times g (G + rho I)^-1 + k I and what is added, or None where that is no use.
+
+    Rows and columns both are transformed.
+
+    Args:
+        planes: of layers and their channels, of single precision, on a processor.
+        symbol: G(f).
+        terms: rho, b, g and k; see `spectra`.
+        added: to what comes out.
+
+    Raises:
+        ValueError: matrices of another size.
+    """
+    *batch, number, channels, height, width = planes.shadow.shape
+    expected = (number, number, height, width // 2 + 1)
+    if symbol.shape != expected:  # compiled loops would go past the end of smaller arrays
+        raise ValueError(f"found matrices {tuple(symbol.shape)}, expected {expected}")
+    plan = _plan(height, width)
+    if height * width < _LARGE or plan is None or mkl.library() is not None:
+        return None
+    for back in (False, True):
+        note_transform((*planes.shadow.shape[:-1], width // 2), by_row=False, back=back)
+    groups = math.ceil((width // 2 + 1) / LANES)
+    items, tiles = math.prod(batch), math.ceil(height / LANES)
+    work = torch.empty(items, number, channels, tiles * LANES, groups * _GROUP).numpy()
+    count, numbers = items * number * channels * tiles, planes.shadow.numel()
+    flat = work.reshape(-1, *work.shape[-2:])
+    _rows_forth.in_spans(flat, planes.sum(), plan, count=count, numbers=numbers)
+    factor = 2 / (height * width)
+    kept, gain = terms.kept * factor, terms.gain * factor
+    given = Terms._make(map(np.float32, terms._replace(gain=gain, kept=kept)))
+    count_solved = groups * items * channels
+    _columns_solved.in_spans(work, symbol.numpy(), given, plan, count=count_solved, numbers=numbers)
+    result = torch.empty(planes.shadow.shape)
+    made = planes_of(result)
+    _rows_back.in_spans(made, flat, added.sum(), plan, count=count, numbers=numbers)
+    return result
+
+
+@lru_cache(maxsize=16)
+def _plan(height: int, width: int) -> _Plan | None:
+    across, down = radices_of(width // 2), radices_of(height)
+    if width % 2 != 0 or across is None or down is None:
+        return None
+    return _Plan(across, down, *(turns_of_length(n) for n in (width // 2, height, width)))
+
+
+@native
+def _take_rows() -> Any:
+    from layerfield.kernels.lanes import take_rows  # noqa: PLC0415
+
+    return take_rows
+
+
+@native
+def _put_rows() -> Any:
+    from layerfield.kernels.lanes import put_rows  # noqa: PLC0415
+
+    return put_rows
+
+
+@native
+def _take_groups() -> Any:
+    from layerfield.kernels.lanes import take_groups  # noqa: PLC0415
+
+    return take_groups
+
+
+@native
+def _take_lanes() -> Any:
+    from layerfield.kernels.lanes import take_lanes  # noqa: PLC0415
+
+    return take_lanes
+
+
+@native
+def _add_products() -> Any:
+    from layerfield.kernels.lanes import add_products  # noqa: PLC0415
+
+    return add_products
+
+
+@native
+def _swap_group() -> Any:
+    from layerfield.kernels.lanes import swap_group  # noqa: PLC0415
+
+    return swap_group
+
+
+@native
+def _pairs_to_spectrum() -> Any:
+    from layerfield.kernels.lanes import pairs_to_spectrum  # noqa: PLC0415
+
+    return pairs_to_spectrum
+
+
+@native
+def _spectrum_to_pairs() -> Any:
+    from layerfield.kernels.lanes import spectrum_to_pairs  # noqa: PLC0415
+
+    return spectrum_to_pairs
+
+
+@compiled
+def _rows_forth(work, known, plan, begin, end):
+    """Eight rows at a time, from and to: of all planes, one after the other."""
+    height, half = known.shadow.shape[1], known.shadow.shape[2] // 2
+    tiles, pitch = work.shape[1] // LANES, work.shape[2]
+    groups = (half + LANES - 1) // LANES
+    rows = np.zeros((LANES + 1, 2 * half), np.float32)  # the last group may reach past a row
+    one, other = np.zeros(LANES * pitch, np.float32), np.zeros(LANES * pitch, np.float32)
+    for number in range(begin, end):
+        plane, tile = divmod(number, tiles)
+        for y in range(min(LANES, height - tile * LANES)):
+            blend_row(rows[y], known, plane, tile * LANES + y, True)
+        seen, made = rows.reshape(-1), work[plane].reshape(-1)
+        for group in range(groups):
+            place = group * _GROUP
+            _take_rows(seen, place, 2 * half, one, place * LANES, False)
+        turns = plan.turns_across
+        is_in_one = transform_groups(plan.across, half, one, 0, _GROUP, other, one, turns)
+        values = one if is_in_one else other
+        for x in range(half // 2 + 1):
+            near, far = x * _GROUP, (half - x) * _GROUP
+            _pairs_to_spectrum(values, near, far if x > 0 else 0, far, plan.turns, x)
+        for group in range(pitch // _GROUP):
+            place = group * _GROUP
+            there = tile * LANES * pitch + place
+            _put_rows(values, place * LANES, made, there, pitch, False, True)
+
+
+@compiled
+def _rows_back(planes, work, known, plan, begin, end):
+    """Eight rows at a time, from and to: of all planes, one after the other."""
+    height, half = planes.shape[1], planes.shape[2] // 2
+    tiles, pitch = work.shape[1] // LANES, work.shape[2]
+    groups = (half + LANES - 1) // LANES
+    rows = np.zeros((LANES + 1, 2 * half), np.float32)  # the last group may reach past a row
+    one, other = np.zeros(LANES * pitch, np.float32), np.zeros(LANES * pitch, np.float32)
+    for number in range(begin, end):
+        plane, tile = divmod(number, tiles)
+        seen, made = work[plane].reshape(-1), rows.reshape(-1)
+        for group in range(pitch // _GROUP):
+            place = group * _GROUP
+            _take_groups(seen, tile * LANES * pitch + place, pitch, one, place * LANES)
+        for x in range(half // 2 + 1):
+            _spectrum_to_pairs(one, x * _GROUP, (half - x) * _GROUP, plan.turns, x)
+        turns = plan.turns_across
+        is_in_one = transform_groups(plan.across, half, one, 0, _GROUP, other, one, turns)
+        values = one if is_in_one else other
+        for group in range(groups - 1, -1, -1):  # and is put before the rows that it reaches into
+            place = group * _GROUP
+            _put_rows(values, place * LANES, made, place, 2 * half, True, False)
+        for y in range(min(LANES, height - tile * LANES)):
+            row = planes[plane, tile * LANES + y]
+            _copy(row, rows[y])
+            blend_row(row, known, plane, tile * LANES + y, False)
+
+
+@compiled
+def _columns_solved(work, symbol, terms, plan, begin, end):
+    """Eight columns at a time, from and to: of all layers of one channel, one after the other."""
+    items, number, channels, _, pitch = work.shape
+    height = symbol.shape[2]
+    inverse = np.zeros((number, number, height * LANES), np.float32)
+    seen = np.zeros((number, height * _GROUP), np.float32)
+    one, other = np.zeros(height * _GROUP, np.float32), np.zeros(height * _GROUP, np.float32)
+    entries, values = inverse.reshape(-1), seen.reshape(-1)
+    last, turns = -1, plan.turns_down
+    for place in range(begin, end):
+        tile, rest = divmod(place, items * channels)
+        item, channel = divmod(rest, channels)
+        first = tile * _GROUP
+        if tile != last:
+            for k in range(number):
+                for m in range(k, number):
+                    _read_columns(inverse[k, m], symbol[k, m], tile * LANES)
+            invert(inverse, terms, tile == 0)
+            for k in range(number):
+                for m in range(k):
+                    _copy(inverse[k, m], inverse[m, k])
+            last = tile
+        for k in range(number):
+            there, made = work[item, k, channel].reshape(-1), seen[k]
+            if not transform_groups(plan.down, height, there, first, pitch, other, made, turns):
+                _copy(made, other)
+        for k in range(number):
+            step, stride, row = height * LANES, height * _GROUP, k * number * height * LANES
+            for y in range(height):
+                entry, group = row + y * LANES, y * _GROUP
+                _add_products(entries, entry, step, values, group, stride, number, other, group)
+            is_in_other = transform_groups(plan.down, height, other, 0, _GROUP, one, other, turns)
+            made = other if is_in_other else one
+            there = work[item, k, channel].reshape(-1)
+            for y in range(height):
+                _swap_group(made, y * _GROUP, there, y * pitch + first)
+
+
+@compiled
+def _read_columns(entry, rows, first):
+    """Frequencies past the highest do not count."""
+    seen, columns = rows.reshape(-1), rows.shape[1]
+    if first + LANES <= columns:
+        for y in range(len(rows)):
+            _take_lanes(seen, y * columns + first, entry, y * LANES)
+    else:
+        for y in range(len(rows)):
+            for x in range(columns - first):
+                entry[y * LANES + x] = rows[y, first + x]
+
+
+@compiled
+def _copy(row, other):
+    for x in range(len(row)):
+        row[x] = other[x]

@@ -332,7 +332,7 @@ def _transposed(builder: Any, rows: Sequence[Any]) -> list[Any]:
 def take_groups(
     builder: Any, seen: _Memory, begin: Any, pitch: Any, made: _Memory, place: Any
 ) -> None:
-    """Put a lane group of each of eight rows into eight lane groups; arguments as of `take_rows`."""
+    """Put a lane group of each of eight rows into eight lane groups; see `take_rows`."""
     rows = [builder.add(begin, builder.mul(pitch, pitch.type(row))) for row in range(LANES)]
     for offset in (0, LANES):
         parts = [seen.read(builder.add(row, row.type(offset))) for row in rows]

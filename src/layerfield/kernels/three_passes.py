@@ -5,8 +5,8 @@ transformed back while those of all layers are in the cache; then rows are trans
 summed up with what else there is. What is between passes is X, the spectrum of real rows, in lane
 groups (see `lanes`): frequencies 0 to W / 2.
 
-Planes one after the other, as `planes` and `spectra` have them, go over memory twice as often, which
-costs nothing where they fit into the cache.
+Planes one after the other, as `planes` and `spectra` have them, go over memory twice as often.
+Where they fit into the cache that costs nothing.
 """
 
 import math

@@ -225,10 +225,13 @@ def test_spans_come_to_all_in_a_forked_process():
 def test_what_cannot_be_kept_on_disk_is_compiled_all_the_same(monkeypatch):
     known = numba.njit
 
-    def nowhere(function, *, cache=False, **options):
-        if cache:
-            raise RuntimeError("cannot cache function: no locator available for file")
-        return known(function, **options)
+    def nowhere(*, cache=False, **options):
+        def compiled_of(function):
+            if cache:
+                raise RuntimeError("cannot cache function: no locator available for file")
+            return known(**options)(function)
+
+        return compiled_of
 
     monkeypatch.setattr(numba, "njit", nowhere)
 

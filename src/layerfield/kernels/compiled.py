@@ -6,7 +6,9 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass
 from functools import cache, cached_property, partial, update_wrapper
+from importlib import import_module
 from inspect import unwrap
 from pathlib import Path
 from types import FunctionType
@@ -129,24 +131,26 @@ class compiled:  # noqa: N801 - a decorator
         return _kept(numba.njit, region_of(self._function, self.dispatcher), nogil=True)
 
 
-class native:  # noqa: N801 - a decorator
+@dataclass(frozen=True)
+class native:  # noqa: N801 - beside `compiled`
     """What compiled functions may call although it is none of them.
 
     Args:
-        find: imports Numba and returns it.
+        module: that has it; it may import Numba.
+        name: its name there.
     """
 
-    def __init__(self, find: Callable[[], Callable[..., Any]]) -> None:
-        self._find = find
+    module: str
+    name: str
 
     def __call__(self, *arguments: Any) -> Any:
         """Return what it does; outside of compiled functions most of these do nothing."""
         return self.dispatcher(*arguments)
 
-    @cached_property
+    @property
     def dispatcher(self) -> Callable[..., Any]:
         """Numba's own."""
-        return self._find()
+        return getattr(import_module(self.module), self.name)
 
 
 def _kept(compile_for: Callable[..., Any], function: FunctionType, **options: Any) -> Any:

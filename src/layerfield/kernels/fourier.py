@@ -14,7 +14,7 @@ and imaginary parts change places on the way in and out.
 
 import math
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -106,39 +106,11 @@ def turns_of_length(length: int) -> np.ndarray:
     return np.stack([np.cos(angle), np.sin(angle)], axis=-1).astype(np.float32).ravel()
 
 
-@native
-def _butterflies() -> Any:
-    from layerfield.kernels.lanes import butterflies  # noqa: PLC0415
-
-    return butterflies
-
-
-@native
-def _take_rows() -> Any:
-    from layerfield.kernels.lanes import take_rows  # noqa: PLC0415
-
-    return take_rows
-
-
-@native
-def _put_rows() -> Any:
-    from layerfield.kernels.lanes import put_rows  # noqa: PLC0415
-
-    return put_rows
-
-
-@native
-def _put_group() -> Any:
-    from layerfield.kernels.lanes import put_group  # noqa: PLC0415
-
-    return put_group
-
-
-@native
-def _array_at() -> Any:
-    import numba  # noqa: PLC0415
-
-    return numba.carray  # pyright: ignore[reportPrivateImportUsage]
+_butterflies = native("layerfield.kernels.lanes", "butterflies")
+_take_rows = native("layerfield.kernels.lanes", "take_rows")
+_put_rows = native("layerfield.kernels.lanes", "put_rows")
+_put_group = native("layerfield.kernels.lanes", "put_group")
+_array_at = native("numba", "carray")
 
 
 @compiled

@@ -11,7 +11,7 @@ Where they fit into the cache that costs nothing.
 
 import math
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -101,60 +101,14 @@ def _plan(height: int, width: int) -> _Plan | None:
     return _Plan(across, down, *(turns_of_length(n) for n in (width // 2, height, width)))
 
 
-@native
-def _take_rows() -> Any:
-    from layerfield.kernels.lanes import take_rows  # noqa: PLC0415
-
-    return take_rows
-
-
-@native
-def _put_rows() -> Any:
-    from layerfield.kernels.lanes import put_rows  # noqa: PLC0415
-
-    return put_rows
-
-
-@native
-def _take_groups() -> Any:
-    from layerfield.kernels.lanes import take_groups  # noqa: PLC0415
-
-    return take_groups
-
-
-@native
-def _take_lanes() -> Any:
-    from layerfield.kernels.lanes import take_lanes  # noqa: PLC0415
-
-    return take_lanes
-
-
-@native
-def _add_products() -> Any:
-    from layerfield.kernels.lanes import add_products  # noqa: PLC0415
-
-    return add_products
-
-
-@native
-def _swap_group() -> Any:
-    from layerfield.kernels.lanes import swap_group  # noqa: PLC0415
-
-    return swap_group
-
-
-@native
-def _pairs_to_spectrum() -> Any:
-    from layerfield.kernels.lanes import pairs_to_spectrum  # noqa: PLC0415
-
-    return pairs_to_spectrum
-
-
-@native
-def _spectrum_to_pairs() -> Any:
-    from layerfield.kernels.lanes import spectrum_to_pairs  # noqa: PLC0415
-
-    return spectrum_to_pairs
+_take_rows = native("layerfield.kernels.lanes", "take_rows")
+_put_rows = native("layerfield.kernels.lanes", "put_rows")
+_take_groups = native("layerfield.kernels.lanes", "take_groups")
+_take_lanes = native("layerfield.kernels.lanes", "take_lanes")
+_add_products = native("layerfield.kernels.lanes", "add_products")
+_swap_group = native("layerfield.kernels.lanes", "swap_group")
+_pairs_to_spectrum = native("layerfield.kernels.lanes", "pairs_to_spectrum")
+_spectrum_to_pairs = native("layerfield.kernels.lanes", "spectrum_to_pairs")
 
 
 @compiled

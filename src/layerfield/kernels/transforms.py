@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Complex
@@ -114,11 +114,7 @@ def _transform_each(planes, call, begin, end):
         transform_one(planes[plane], call)
 
 
-@native
-def _call() -> Any:
-    from layerfield.kernels.calls import call  # noqa: PLC0415
-
-    return call
+_call = native("layerfield.kernels.calls", "call")
 
 
 def call_of(transform: PlaneTransform) -> Call:

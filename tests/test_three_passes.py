@@ -19,7 +19,7 @@ KINDS = [kind for kind in SHOWN if kind not in {"one row", "one layer"}]  # colu
 
 @pytest.fixture(autouse=True)
 def small_ones_too(monkeypatch):
-    monkeypatch.setattr(three_passes, "_LARGE", 0)
+    monkeypatch.setattr(three_passes, "LARGE", 0)
     monkeypatch.setattr(mkl, "library", lambda: None)
 
 

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.kernels.compiled import serve
-from layerfield.kernels.strips import Side, Strips, add_strips_, strips_of
+from layerfield.kernels.strips import Side, Sides, add_strips_, strips_of
 from layerfield.projection import Projection, taps_of
 
 Size = tuple[int, int]
@@ -42,8 +42,9 @@ class Band(Protocol):
         """Add a multiple of A^T (1 - M) W A of layers clamped to bounds, in place."""
         ...
 
-    def strips(self, layers: Tensor, bounds: Bounds) -> Strips | None:
-        """Return the same for compiled loops to add, or None where they do not serve."""
+    @property
+    def sides(self) -> Sides | None:
+        """What compiled loops find it with, or None where they do not serve."""
         ...
 
 
@@ -98,7 +99,8 @@ class ViewsBand:
             for there, here in _wrapped(columns, self.torus[1]):
                 _add_cut_(result[..., there], part[..., here], rows, -2)
 
-    def strips(self, layers: Tensor, bounds: Bounds) -> Strips | None:
+    @property
+    def sides(self) -> Sides | None:
         """Return None: what views see is added up in PyTorch."""
         return None
 
@@ -194,11 +196,9 @@ class GridBand:
         bounds: Bounds = ANY,
     ) -> None:
         """Add a multiple of A^T (1 - M) W A of layers clamped to bounds, in place."""
-        if serve(result) and result.is_contiguous():
-            strips = self.strips(layers, bounds)
-            if strips is not None:
-                add_strips_(result, strips.times(factor))
-                return
+        if serve(result, layers) and result.is_contiguous():
+            add_strips_(result, strips_of(layers, self.sides, bounds).times(factor))
+            return
         factor *= self._weight
         (down, across), (by_row, by_column) = self._axes, self._matrices(layers)
         rows = _cut(layers, down.span, -2).clamp(*bounds)
@@ -213,11 +213,11 @@ class GridBand:
         beside = _strip(columns.mT.contiguous(), by_column, down)
         _add_cut_(result, beside.mT, across.span, -1, factor)
 
-    def strips(self, layers: Tensor, bounds: Bounds) -> Strips | None:
-        """Return the same for compiled loops to add, or None where they do not serve."""
-        if not serve(layers):
-            return None
-        return strips_of(layers, (self._axes[0].side, self._axes[1].side), self._weight, bounds)
+    @property
+    def sides(self) -> Sides:
+        """What compiled loops find it with."""
+        down, across = self._axes
+        return Sides(down.side, across.side, np.float32(self._weight))
 
     def _matrices(self, like: Tensor) -> tuple[Tensor, Tensor]:
         key = like.dtype, like.device

@@ -1,6 +1,7 @@
 """What depends on a display and the size of its views alone, kept for the next light field."""
 
-from functools import lru_cache
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import torch
 from jaxtyping import Float
@@ -12,74 +13,67 @@ from layerfield.projection import Projection
 _KEPT = 3  # displays and sizes; more would rather fill the memory than save time
 
 
-def gram_of(
-    projection: Projection, weights: tuple[float, ...], view_size: tuple[int, int], like: Tensor
-) -> Gram:
-    """Return A^T M W A; arguments as for `Gram`."""
-    return _gram(projection, weights, view_size, like.dtype, like.device)
+@dataclass(frozen=True)
+class DisplayConstants:
+    """Each is found when it is first asked for, and not to be written on.
 
-
-def coverage_of(
-    projection: Projection, weights: tuple[float, ...], view_size: tuple[int, int], like: Tensor
-) -> Float[Tensor, "layer 1 ly lx"]:
-    """Return A^T W 1, the weight of the views that see a layer pixel, not to be written on."""
-    return _coverage(projection, weights, view_size, like.dtype, like.device)
-
-
-def even_shares_of(
-    projection: Projection, weights: tuple[float, ...], view_size: tuple[int, int], like: Tensor
-) -> Float[Tensor, "layer 1 ly lx"]:
-    """Return what A^T W L is multiplied by for the balanced start, 1 / (K A^T W 1).
-
-    Where nobody looks that is 0.
+    Args:
+        projection: A.
+        weights: W, one for every view.
+        view_size: height and width of the views.
+        dtype: of what is found.
+        device: where it is.
     """
-    return _even_shares(projection, weights, view_size, like.dtype, like.device)
 
+    projection: Projection
+    weights: tuple[float, ...]
+    view_size: tuple[int, int]
+    dtype: torch.dtype
+    device: torch.device
 
-def forget_constants() -> None:
-    """Keep nothing any more, so that the memory of what follows is its own."""
-    for kept in (_gram, _coverage, _even_shares):
-        kept.cache_clear()
+    @cached_property
+    def gram(self) -> Gram:
+        """A^T M W A."""
+        with torch.inference_mode(False):  # what is kept must serve training, too
+            like = torch.empty(0, dtype=self.dtype, device=self.device)
+            return Gram(self.projection, self.weights, self.view_size, like)
+
+    @cached_property
+    def coverage(self) -> Float[Tensor, "layer 1 ly lx"]:
+        """A^T W 1, the weight of the views that see a layer pixel; 0 where nobody looks."""
+        with torch.inference_mode(False):
+            ones = torch.ones(1, *self.view_size, dtype=self.dtype, device=self.device)
+            count, size = len(self.projection.shifts[0]), self.projection.layer_size(ones)
+            layers = ones.new_zeros(count, 1, *size)
+            for i, weight in enumerate(self.weights):
+                for k, layer in enumerate(layers):
+                    self.projection.scatter_(layer, ones, i, k, weight)
+            return layers
+
+    @cached_property
+    def even_shares(self) -> Float[Tensor, "layer 1 ly lx"]:
+        """What A^T W L is multiplied by for the balanced start, 1 / (K A^T W 1).
+
+        Where nobody looks that is 0.
+        """
+        with torch.inference_mode(False):
+            coverage = self.coverage
+            shares = 1 / (len(coverage) * coverage.clamp(min=1e-6 * sum(self.weights)))
+            return shares.masked_fill_(coverage <= 0, 0)
+
+    @cached_property
+    def mean_share(self) -> float:
+        """What the light of all pixels of one layer, A^T W L, is multiplied by for their mean."""
+        return 1 / (len(self.coverage) * self.coverage[0].sum().item())
 
 
 @lru_cache(maxsize=_KEPT)
-def _gram(
+def constants_of(
     projection: Projection,
     weights: tuple[float, ...],
     view_size: tuple[int, int],
     dtype: torch.dtype,
     device: torch.device,
-) -> Gram:
-    with torch.inference_mode(False):  # what is kept must serve training, too
-        return Gram(projection, weights, view_size, torch.empty(0, dtype=dtype, device=device))
-
-
-@lru_cache(maxsize=_KEPT)
-def _coverage(
-    projection: Projection,
-    weights: tuple[float, ...],
-    view_size: tuple[int, int],
-    dtype: torch.dtype,
-    device: torch.device,
-) -> Tensor:
-    with torch.inference_mode(False):
-        ones = torch.ones(1, *view_size, dtype=dtype, device=device)
-        layers = ones.new_zeros(len(projection.shifts[0]), 1, *projection.layer_size(ones))
-        for i, weight in enumerate(weights):
-            for k, layer in enumerate(layers):
-                projection.scatter_(layer, ones, i, k, weight)
-        return layers
-
-
-@lru_cache(maxsize=_KEPT)
-def _even_shares(
-    projection: Projection,
-    weights: tuple[float, ...],
-    view_size: tuple[int, int],
-    dtype: torch.dtype,
-    device: torch.device,
-) -> Tensor:
-    coverage = _coverage(projection, weights, view_size, dtype, device)
-    with torch.inference_mode(False):
-        shares = 1 / (len(coverage) * coverage.clamp(min=1e-6 * sum(weights)))
-        return shares.masked_fill_(coverage <= 0, 0)
+) -> DisplayConstants:
+    """Return the same constants as long as they are kept; arguments as of `DisplayConstants`."""
+    return DisplayConstants(projection, weights, view_size, dtype, device)

@@ -25,8 +25,9 @@ from layerfield.links import LINKS, Link, Multiplicative
 from layerfield.methods import RunOptions, SolverMethod
 from layerfield.shipped import TRAINED
 from layerfield.solve import Problem, Solution, Solver
+from layerfield.solvers.admm_steps import Constants
 from layerfield.solvers.fourier_start import FourierStart
-from layerfield.solvers.learned_admm import Constants, LearnedAdmm
+from layerfield.solvers.learned_admm import LearnedAdmm
 from layerfield.solvers.newton_admm import FourierNewton, NewtonAdmm
 from layerfield.solvers.warm_admm import WarmAdmm
 from layerfield.weights import WEIGHT_SUFFIX
@@ -101,7 +102,7 @@ class Learned:
 def write_learned(path: Path, learned: Learned) -> None:
     """Write a file of learned steps, whole or not at all; an earlier one is replaced."""
     tensors = {
-        f"{number}.{part}": torch.tensor([list(asdict(row).values()) for row in rows])
+        f"{number}.{part}": torch.tensor([list(row) for row in rows])
         for number, known in learned.steps.items()
         for part, rows in vars(known).items()
         if rows

@@ -17,6 +17,7 @@ from torch import Tensor
 from layerfield.kernels.blends import Blend
 from layerfield.kernels.compiled import serve
 from layerfield.kernels.spectra import LowPart, Pairs, Terms
+from layerfield.kernels.systems import System, system_of
 from layerfield.kernels.three_passes import solved_in_three_passes
 
 _MOST_KEPT = 1 << 31  # bytes of the resolvents of a display: those of `fast` up to 8 megapixels
@@ -99,6 +100,21 @@ class Spectral:
             return torch.fft.irfft(spectrum, n=self.torus[1])
         return torch.fft.irfft2(spectrum, s=self.torus)
 
+    def low_to_pixels(
+        self, spectrum: Complex[Tensor, "*batch c fy fx"]
+    ) -> Float[Tensor, "*batch c ty tx"]:
+        """Return the planes of a spectrum that was made by `low`, in units of larger pixels."""
+        if not self.serves(spectrum):
+            return self.to_pixels(spectrum).div_(self.pixels)
+        count = math.prod(self.torus[int(self.by_row) :]) * self.pixels
+        return Pairs.of_low(spectrum, self.by_row, 2 / count).planes()
+
+    def to_low(self, planes: Float[Tensor, "*batch c ty tx"]) -> Complex[Tensor, "*batch c fy fx"]:
+        """Return the spectrum again, without the highest; planes may be written on."""
+        if not self.serves(planes):
+            return self.to_frequencies(planes).mul_(self.pixels)
+        return Pairs.of(planes, self.by_row).low(self.torus).mul_(self.pixels)
+
     def solved_pixels(
         self,
         planes: Float[Tensor, "*batch layer c ty tx"] | Blend,
@@ -159,6 +175,10 @@ class Spectral:
         if self.torus[1] % 2 != 0 or self.symbol.dtype != torch.float32:
             return False
         return all(each.serves() if isinstance(each, Blend) else serve(each) for each in planes)
+
+    def system(self, balance: float, bounds: tuple[float, float]) -> System:
+        """Return what steps have in common, for compiled loops; see `serves`."""
+        return system_of(self.symbol, self.by_row, self.weight, balance, bounds)
 
     def _resolvent(self, penalty: float, balance: float, gain: float) -> Matrix:
         """Computed once for a penalty: it depends on the display alone."""

@@ -17,7 +17,8 @@ from torch import Tensor
 
 from layerfield.band import ANY, Bounds, band_of
 from layerfield.frequencies import Spectral, fast_length, fast_width, interleaved, multiply
-from layerfield.kernels.strips import Strips
+from layerfield.kernels.compiled import serve
+from layerfield.kernels.strips import Sides, Strips, strips_of
 from layerfield.projection import Projection
 
 
@@ -94,7 +95,14 @@ class Gram:
 
     def strips(self, layers: Tensor, bounds: Bounds) -> Strips | None:
         """Return the band of layers, clamped, for compiled loops to add, or None."""
-        return self._band.strips(layers, bounds)
+        if self.sides is None or not serve(layers):
+            return None
+        return strips_of(layers, self.sides, bounds)
+
+    @property
+    def sides(self) -> Sides | None:
+        """What compiled loops find the band with, or None where they do not serve."""
+        return self._band.sides
 
     def __call__(
         self, layers: Float[Tensor, "*batch layer c ty tx"]

@@ -19,7 +19,7 @@ from torch import Tensor
 from layerfield.back_projection import back_projected
 from layerfield.composition import compose_view
 from layerfield.display import Display
-from layerfield.display_constants import coverage_of, even_shares_of, gram_of
+from layerfield.display_constants import DisplayConstants, constants_of
 from layerfield.gram import Gram
 from layerfield.kept_views import KeptViews
 from layerfield.kernels.compiled import serve
@@ -31,6 +31,7 @@ from layerfield.pieces import Piece, pieces
 from layerfield.projection import Projection
 
 _SEED = 0  # of what makes subframes differ
+_STRIDE = 10  # iterations at once: between them the keyboard can interrupt
 APART = 0.05  # how much they differ; on procedural scenes sweeps ended higher the less they did
 
 
@@ -128,9 +129,16 @@ class Problem:
         return self.views.stored.shape[-2], self.views.stored.shape[-1]
 
     @cached_property
+    def constants(self) -> DisplayConstants:
+        """What problems posed alike have in common."""
+        like = self.views.like
+        posed = (self.projection, self.weights, self.view_size)
+        return constants_of(*posed, like.dtype, like.device)
+
+    @property
     def gram(self) -> Gram:
-        """A^T M W A, what a sum link makes of layers; shared by problems alike."""
-        return gram_of(self.projection, self.weights, self.view_size, self.views.like)
+        """A^T M W A, what a sum link makes of layers."""
+        return self.constants.gram
 
     @cached_property
     def back_projected(self) -> Float[Tensor, "*batch 1 layer c ly lx"]:
@@ -142,10 +150,10 @@ class Problem:
         """From the layers to the views."""
         return LightPaths(self.projection, self.link, self.views, self.weights)
 
-    @cached_property
+    @property
     def coverage(self) -> Float[Tensor, "layer 1 ly lx"]:
         """A^T W 1: the weight of the views that see a layer pixel; 0 where nobody looks."""
-        return coverage_of(self.projection, self.weights, self.view_size, self.views.like)
+        return self.constants.coverage
 
     def view(
         self, layers: Float[Tensor, "*batch subframe layer c ly lx"], index: int
@@ -172,10 +180,9 @@ class Problem:
         Args:
             size: of a torus, on which the layers are, and 0 beside them.
         """
-        seen = self.coverage[0].sum(dim=(-2, -1), keepdim=True)
-        rest = self.back_projected[..., :1, :, :, :].sum(dim=(-2, -1), keepdim=True)
-        rest = rest / (seen * self.layer_count)
-        shares = even_shares_of(self.projection, self.weights, self.view_size, self.views.like)
+        first = self.back_projected[..., :1, :, :, :]
+        rest = first.sum(dim=(-2, -1), keepdim=True) * self.constants.mean_share
+        shares = self.constants.even_shares
         height, width = self.layer_shape[-2:]
         ty, tx = size or (height, width)
         if serve(self.back_projected):
@@ -228,6 +235,15 @@ class Solver(Protocol):
         self, problem: Problem, state: State
     ) -> Float[Tensor, "*batch subframe layer c ly lx"]:
         """Return the layers of a state, within the bounds of the problem."""
+        ...
+
+
+@runtime_checkable
+class Striding(Solver, Protocol):
+    """One that makes several iterations sooner than one by one."""
+
+    def steps(self, problem: Problem, state: State, count: int) -> State:
+        """Return the state after so many iterations."""
         ...
 
 
@@ -305,14 +321,15 @@ def solve(
     with nullcontext() if watched else clock:
         with torch.no_grad(), clock:
             state = solver.init(problem, _start(problem, solver, init))
-        for _ in range(iterations):
+        while done < iterations:
             if clock.seconds > time_limit:
                 status = f"stopped at the time limit of {time_limit:g} s"
                 break
+            count = 1 if watched else min(_STRIDE, iterations - done)
             with torch.no_grad(), clock:
                 before = solver.layers(problem, state).clone() if tolerance > 0 else None
-                state = solver.step(problem, state)
-                done += 1
+                state = _after(solver, problem, state, count)
+                done += count
                 change = _change(before, problem, solver, state)
             if history:
                 error = problem.mean_square_error(solver.layers(problem, state))
@@ -343,6 +360,15 @@ def _start(problem: Problem, solver: Solver, init: Solution | Tensor | None) -> 
             f"{expected} [subframe, layer, channel, y, x]"
         )
     return layers
+
+
+def _after(solver: Solver, problem: Problem, state: State, count: int) -> State:
+    """Return the state after so many iterations."""
+    if isinstance(solver, Striding):
+        return solver.steps(problem, state, count)
+    for _ in range(count):
+        state = solver.step(problem, state)
+    return state
 
 
 def _change(before: Tensor | None, problem: Problem, solver: Solver, state: State) -> float:

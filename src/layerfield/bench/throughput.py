@@ -15,7 +15,7 @@ import torch
 from layerfield.bench.road import EightBitViews, Panels, views_to_panels
 from layerfield.bench.timing import Seconds, once
 from layerfield.display import Display
-from layerfield.display_constants import forget_constants
+from layerfield.display_constants import constants_of
 from layerfield.display_spec import DisparitySpec
 from layerfield.metrics import excess, mean_square_error
 from layerfield.panels import dequantise
@@ -176,7 +176,7 @@ def run_stream(
         for each in islice(cycle(views), stream.length):
             one(each)
 
-    forget_constants()
+    constants_of.cache_clear()
     if device.type == "cuda":
         torch.cuda.reset_peak_memory_stats(device)
     all_in_turn()

@@ -17,15 +17,16 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from layerfield.kernels.threads import in_threads, parallel_address
+from layerfield.kernels.threads import FEW, SPANS, in_threads, parallel_address
 
 # As C compilers have it: sums may be reordered, and nothing infinite comes in.
 _FREE = {"contract", "reassoc", "nsz", "arcp", "nnan", "ninf"}
 # Loops that are functions of their own are put where they are called: calls cost as much as rows.
-_OPTIONS = {"nogil": True, "inline": "always", "fastmath": _FREE, "error_model": "numpy"}
+_LOOPS = {"nogil": True, "inline": "always", "fastmath": _FREE, "error_model": "numpy"}
+# What is called by name all the same: each that calls it holds a copy, and these do not round
+# alike. Which of one name a process takes would depend on which it has read first.
+_WHOLE = {"forceinline": True}
 _SINGLE = (torch.float32, torch.complex64)
-_SPANS = 4  # for every thread: who is held up by others leaves some
-_FEW = 1 << 16
 # Numba's own switch leaves loops to the interpreter, which would take minutes: PyTorch does not.
 _PLAIN = ContextVar("plain", default=os.environ.get("NUMBA_DISABLE_JIT", "0") not in {"", "0"})
 
@@ -72,7 +73,8 @@ class compiled:  # noqa: N801 - a decorator
         """Call the function for spans that come to 0 .. count, a few for every thread.
 
         Whoever is free takes the next one, so that a thread whose core others use holds nobody up.
-        What is done for one of them must not depend on how they are divided.
+        What is done for one of them must not depend on how they are divided. One thread calls what
+        several would: copies of a function do not round alike.
 
         Args:
             arguments: all but the last two, which are from where and to where.
@@ -83,23 +85,23 @@ class compiled:  # noqa: N801 - a decorator
         Raises:
             MemoryError: there was none for what the function keeps to itself.
         """
-        threads = torch.get_num_threads()
-        if numbers < _FEW or threads == 1 or count < 2:
+        threads = torch.get_num_threads() if numbers >= FEW else 1
+        if (address := parallel_address()) is not None:
+            if self.region(arguments, count, threads, address):
+                raise MemoryError("there is not enough memory for a compiled loop")
+        elif threads == 1 or count < 2:
             self(*arguments, 0, count)
-            return
-        length = math.ceil(count / (_SPANS * threads))
-        if (address := parallel_address()) is None:
+        else:
+            length = math.ceil(count / (SPANS * threads))
             spans = math.ceil(count / length)
             in_threads(lambda n: self(*arguments, n * length, min(count, (n + 1) * length)), spans)
-        elif self._region(arguments, count, length, threads, address):
-            raise MemoryError("there is not enough memory for a compiled loop")
 
     @cached_property
     def dispatcher(self) -> Callable[..., Any]:
         """Numba's own."""
         import numba  # noqa: PLC0415
 
-        return _kept(numba.njit, self._resolved, **_OPTIONS)
+        return _kept(numba.njit, self._resolved, **_LOOPS, **_WHOLE)
 
     @cached_property
     def address(self) -> int:
@@ -110,25 +112,50 @@ class compiled:  # noqa: N801 - a decorator
         import numba  # noqa: PLC0415
 
         compile_for = partial(numba.cfunc, "int64(voidptr, voidptr)")
-        options = {name: _OPTIONS[name] for name in ("fastmath", "error_model")}
-        return _kept(compile_for, self._resolved, nopython=True, **options).address
+        options = {name: _LOOPS[name] for name in ("fastmath", "error_model")}
+        return _kept(compile_for, self._resolved, nopython=True, **options, **_WHOLE).address
 
     @property
     def _resolved(self) -> FunctionType:
         """The function, with those of Numba in the place of others that it calls."""
         code, known = self._function.__code__, {**self._function.__globals__}
         for name in code.co_names:
-            if isinstance(each := known.get(name), compiled | native):
+            if isinstance(each := known.get(name), compiled | spread | native):
                 known[name] = each.dispatcher
         return FunctionType(code, known, self._function.__name__)
 
     @cached_property
-    def _region(self) -> Callable[..., int]:
+    def region(self) -> Callable[..., int]:
+        """What calls it for spans, on all threads; see `region_of`."""
         import numba  # noqa: PLC0415
 
         from layerfield.kernels.regions import region_of  # noqa: PLC0415
 
-        return _kept(numba.njit, region_of(self._function, self.dispatcher), nogil=True)
+        made = region_of(self._function, self.dispatcher)
+        return _kept(numba.njit, made, nogil=True, **_WHOLE)
+
+
+@dataclass(frozen=True)
+class spread:  # noqa: N801 - beside `compiled`
+    """What compiled functions call to have another called for spans, by all threads.
+
+    It takes a tuple of the other's arguments but for the last two; the count of what is divided;
+    how many threads; and where `parallel_address` is. It returns whether memory was short.
+
+    Args:
+        function: that is called; see `compiled.in_spans`.
+    """
+
+    function: compiled
+
+    def __call__(self, arguments: tuple[Any, ...], count: int, threads: int, address: int) -> Any:
+        """Return what is said above."""
+        return self.dispatcher(arguments, count, threads, address)
+
+    @property
+    def dispatcher(self) -> Callable[..., Any]:
+        """Numba's own."""
+        return self.function.region
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ def transformed(
         if transform is not None:
             result = torch.empty(planes.shadow.shape)
             made, known = planes_of(result), planes.sum()
-            _forth.in_spans(made, known, call_of(transform), count=len(made), numbers=made.size)
+            forth.in_spans(made, known, call_of(transform), count=len(made), numbers=made.size)
             return _pairs(result)
         planes = planes.planes()
     values = _pairs(planes.detach().contiguous())
@@ -48,7 +48,7 @@ def transformed_back(
         transform_(values, by_row=by_row, back=True)
         return result if added is None else added.planes(onto=result)
     made = planes_of(result)
-    _back.in_spans(made, added.sum(), call_of(transform), count=len(made), numbers=made.size)
+    back.in_spans(made, added.sum(), call_of(transform), count=len(made), numbers=made.size)
     return result
 
 
@@ -57,7 +57,7 @@ def _pairs(planes: Tensor) -> Tensor:
 
 
 @compiled
-def _forth(planes, known, call, begin, end):
+def forth(planes, known, call, begin, end):
     """Planes from and to."""
     for plane in range(begin, end):
         for y in range(planes.shape[1]):
@@ -66,7 +66,7 @@ def _forth(planes, known, call, begin, end):
 
 
 @compiled
-def _back(planes, known, call, begin, end):
+def back(planes, known, call, begin, end):
     """Planes from and to."""
     for plane in range(begin, end):
         transform_one(planes[plane], call)

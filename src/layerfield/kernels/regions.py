@@ -13,6 +13,8 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from layerfield.kernels.threads import SPANS
+
 _FIELDS = _ARGUMENTS, _COUNT, _LENGTH, _NEXT, _FAILED = range(5)  # what all threads share
 _BYTES, _NUMBER, _NOTHING = ir.IntType(8).as_pointer(), ir.IntType(32), ir.VoidType()
 
@@ -21,8 +23,8 @@ def region_of(function: FunctionType, kernel: Any) -> FunctionType:
     """Return what calls a kernel for spans of 0 .. count, whoever is free for the next one.
 
     It is to be compiled. It takes a tuple of the kernel's arguments but for the last two, which are
-    the begin and the end of a span; their count and the length of a span; how many threads; and
-    the address of `GOMP_parallel`. It returns whether the kernel failed anywhere.
+    the begin and the end of a span; the count; how many threads; and the address of
+    `GOMP_parallel`. It returns whether the kernel failed anywhere.
 
     Args:
         function: in Python; what is compiled is kept on disk beside what is compiled of it.
@@ -42,12 +44,14 @@ def region_of(function: FunctionType, kernel: Any) -> FunctionType:
     code = unwrap(_region).__code__.replace(
         co_filename=place.co_filename, co_firstlineno=place.co_firstlineno
     )
-    made = FunctionType(code, {"_call": call}, f"{function.__name__}_region")
+    made = FunctionType(code, {"_call": call, "SPANS": SPANS}, f"{function.__name__}_region")
     made.__qualname__, made.__module__ = made.__name__, function.__module__
     return made
 
 
-def _region(arguments, count, length, threads, address):
+def _region(arguments, count, threads, address):
+    spans = SPANS * threads if threads > 1 else 1
+    length = max(1, (count + spans - 1) // spans)
     return _call(arguments, count, length, threads, address)
 
 

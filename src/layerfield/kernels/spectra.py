@@ -20,6 +20,7 @@ number.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -81,6 +82,20 @@ class Pairs:
         """Transform planes, which may be written on."""
         return cls(transformed(planes, by_row), by_row)
 
+    @classmethod
+    def of_low(
+        cls, spectrum: Complex[Tensor, "*batch fy fx"], by_row: bool, factor: float = 1.0
+    ) -> "Pairs":
+        """Return Z of a multiple of X as `low` returns it, whose highest frequencies do not count.
+
+        `planes` then are those of X, times what transforms leave out.
+        """
+        values = spectrum.new_empty(*spectrum.shape[:-1], spectrum.shape[-1] - 1)
+        made, seen, turns = _numbers(values), _numbers(spectrum), turns_of(2 * values.shape[-1])
+        given = (made, seen, turns, np.float32(factor), by_row)
+        _put_low.in_spans(*given, count=math.prod(made.shape[:2]), numbers=made.size)
+        return cls(values, by_row)
+
     def planes(self, added: Blend | None = None) -> Float[Tensor, "*batch ty tx"]:
         """Transform what was solved back, in place, and add something to it."""
         return transformed_back(self.values, self.by_row, added)
@@ -100,9 +115,7 @@ class Pairs:
             low: what takes the place of low frequencies afterwards.
         """
         number, channels, height, half = self.values.shape[-4:]
-        expected = (number, number, 1 if self.by_row else height, half + 1)
-        if symbol.shape != expected:  # compiled loops would go past the end of smaller arrays
-            raise ValueError(f"found matrices {tuple(symbol.shape)}, expected {expected}")
+        refuse_other_matrices(symbol.shape, number, self.values.shape, self.by_row)
         seen = _numbers(self.values, number, channels)
         factor = 1 / (half if self.by_row else height * half)
         kept, gain = terms.kept * factor, terms.gain * factor
@@ -123,6 +136,25 @@ class Pairs:
         made, given = _numbers(result), (_numbers(self.values), turns_of(2 * half), self.by_row)
         _read_low.in_spans(made, *given, count=math.prod(made.shape[:2]), numbers=made.size)
         return result
+
+
+def refuse_other_matrices(
+    found: Sequence[int], number: int, pairs: Sequence[int], by_row: bool
+) -> None:
+    """Refuse G(f) of another shape: compiled loops would go past the end of smaller arrays.
+
+    Args:
+        found: its shape.
+        number: of layers.
+        pairs: the shape of a spectrum as Z.
+        by_row: whether every row is transformed by itself.
+
+    Raises:
+        ValueError: they do not fit.
+    """
+    expected = (number, number, 1 if by_row else pairs[-2], pairs[-1] + 1)
+    if tuple(found) != expected:
+        raise ValueError(f"found matrices {tuple(found)}, expected {expected}")
 
 
 def _numbers(values: Tensor, *by: int) -> np.ndarray:
@@ -247,6 +279,33 @@ def _read_row(result, here, there, turns):
         qr, qi = _HALF * (zi + yi), _HALF * (yr - zr)
         result[2 * x] = er + turns.cos[x] * qr + turns.sin[x] * qi
         result[2 * x + 1] = ei + turns.cos[x] * qi - turns.sin[x] * qr
+
+
+@compiled
+def _put_low(result, spectrum, turns, factor, by_row, begin, end):
+    """Rows of all planes, one after the other, from and to."""
+    height = result.shape[1]
+    for number in range(begin, end):
+        plane, y = divmod(number, height)
+        row = result[plane, y]
+        if not by_row and 2 * y == height:
+            row[:] = 0
+        else:
+            other = spectrum[plane, y if by_row else (height - y) % height]
+            _put_row(row, spectrum[plane, y], other, turns, factor * _HALF)
+
+
+@compiled
+def _put_row(result, here, there, turns, factor):
+    """E = (X + Y) / 2 and w O = (X - Y) / 2, with Y(fx) = X(fx + W / 2) = conj(X(W / 2 - fx))."""
+    half = len(result) // 2
+    for x in range(half):
+        xr, xi = here[2 * x], here[2 * x + 1]
+        yr = there[2 * (half - x)] if x > 0 else np.float32(0)
+        yi = -there[2 * (half - x) + 1] if x > 0 else np.float32(0)
+        dr, di = xr - yr, xi - yi
+        result[2 * x] = factor * (xr + yr - turns.sin[x] * dr - turns.cos[x] * di)
+        result[2 * x + 1] = factor * (xi + yi - turns.sin[x] * di + turns.cos[x] * dr)
 
 
 @compiled

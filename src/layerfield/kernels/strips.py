@@ -3,6 +3,7 @@
 All that becomes of one layer is found by one task.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +27,20 @@ class Side(NamedTuple):
     matrix: np.ndarray
     offset: np.ndarray
     weight: np.ndarray
+
+
+class Sides(NamedTuple):
+    """Both directions of a band of views on a grid, which all count alike.
+
+    Args:
+        down: of rows below the views.
+        across: of columns on their right.
+        weight: of every view.
+    """
+
+    down: Side
+    across: Side
+    weight: np.float32
 
 
 class Strips(NamedTuple):
@@ -55,12 +70,9 @@ NO_STRIPS = Strips(_EMPTY, _EMPTY, 0, 0, np.float32(0))
 
 
 def strips_of(
-    layers: Float[Tensor, "*batch layer c ty tx"],
-    sides: tuple[Side, Side],
-    factor: float,
-    bounds: tuple[float, float],
+    layers: Float[Tensor, "*batch layer c ty tx"], sides: Sides, bounds: tuple[float, float]
 ) -> Strips:
-    """Return a multiple of the band of layers clamped to bounds.
+    """Return the band of layers clamped to bounds.
 
     With Y along the rows of viewpoints and X along their columns:
 
@@ -68,23 +80,36 @@ def strips_of(
 
     Args:
         layers: of single precision, on a processor.
-        sides: of rows below the views, and of columns on their right.
-        factor: multiple.
+        sides: of the band.
         bounds: least and greatest value.
     """
-    (down, across), by = sides, layers.shape[-4:]
-    number, channels, height, width = by
-    seen = layers.detach().contiguous().view(-1, *by).numpy()
+    down, across, weight = sides
+    number, channels, height, width = layers.shape[-4:]
+    seen = layers.detach().contiguous().view(-1, number, channels, height, width).numpy()
     low, high = np.float32(bounds[0]), np.float32(bounds[1])
-    count, thick = len(seen) * number * channels, (down.matrix.shape[-1], across.matrix.shape[-1])
-    columns = np.empty((*seen.shape[:3], thick[1], height), np.float32)
-    _cut_columns.in_spans(columns, seen, across.start, low, high, count=count, numbers=columns.size)
-    below = np.empty((count, thick[0], width), np.float32)
-    beside = np.empty((count, height, thick[1]), np.float32)
+    below, beside, columns = room_for_strips(seen.shape, sides)
+    count = len(below)
+    cut_columns.in_spans(columns, seen, across.start, low, high, count=count, numbers=columns.size)
     numbers = number * down.offset.shape[-1] * (below.size + beside.size)
     given = (below, beside, seen, columns, down, across, low, high)
-    _strips.in_spans(*given, count=count, numbers=numbers)
-    return Strips(below, beside, down.start, across.start, np.float32(factor))
+    fill_strips.in_spans(*given, count=count, numbers=numbers)
+    return Strips(below, beside, down.start, across.start, weight)
+
+
+def room_for_strips(
+    shape: tuple[int, ...], sides: Sides
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return arrays for what is below, what is beside, and for columns on the way there.
+
+    Args:
+        shape: of layers, `[n, layer, c, ty, tx]`.
+        sides: of the band.
+    """
+    *by, height, width = shape
+    thick, wide = sides.down.matrix.shape[-1], sides.across.matrix.shape[-1]
+    below = np.empty((math.prod(by), thick, width), np.float32)
+    beside = np.empty((math.prod(by), height, wide), np.float32)
+    return below, beside, np.empty((*by, wide, height), np.float32)
 
 
 def add_strips_(result: Float[Tensor, "*batch ty tx"], strips: Strips) -> None:
@@ -119,7 +144,7 @@ def add_strips_to_row(row, strips, plane, y):
 
 
 @compiled
-def _cut_columns(columns, layers, start, low, high, begin, end):
+def cut_columns(columns, layers, start, low, high, begin, end):
     """Columns of all planes, one after the other, from and to, each as a row."""
     number, channels, height, width = layers.shape[1:]
     thick = columns.shape[3]
@@ -136,7 +161,7 @@ def _cut_columns(columns, layers, start, low, high, begin, end):
 
 
 @compiled
-def _strips(below, beside, layers, columns, down, across, low, high, begin, end):
+def fill_strips(below, beside, layers, columns, down, across, low, high, begin, end):
     """Those of all planes, one after the other, from and to."""
     number, channels = layers.shape[1:3]
     for place in range(begin, end):

@@ -9,6 +9,8 @@ from functools import cache
 
 import torch
 
+FEW = 1 << 16  # numbers for which threads cost more than they bring
+SPANS = 4  # for every thread: who is held up by others leaves some
 _PROCESS = os.getpid()
 
 

@@ -23,11 +23,11 @@ from layerfield.kernels.blends import Blend, blend_row, planes_of
 from layerfield.kernels.compiled import compiled, native
 from layerfield.kernels.fourier import transform_groups, turns_of_length
 from layerfield.kernels.radices import LANES, radices_of
-from layerfield.kernels.spectra import Terms, invert
+from layerfield.kernels.spectra import Terms, invert, refuse_other_matrices
 from layerfield.kernels.transforms import note_transform
 
 _GROUP = 2 * LANES
-_LARGE = 1 << 20  # pixels of a plane from which on memory is what takes time
+LARGE = 1 << 20  # pixels of a plane from which on memory is what takes time
 
 
 class _Plan(NamedTuple):
@@ -68,14 +68,13 @@ def solved_in_three_passes(
         ValueError: matrices of another size.
     """
     *batch, number, channels, height, width = planes.shadow.shape
-    expected = (number, number, height, width // 2 + 1)
-    if symbol.shape != expected:  # compiled loops would go past the end of smaller arrays
-        raise ValueError(f"found matrices {tuple(symbol.shape)}, expected {expected}")
+    pairs = (*planes.shadow.shape[:-1], width // 2)
+    refuse_other_matrices(symbol.shape, number, pairs, by_row=False)
     plan = _plan(height, width)
-    if height * width < _LARGE or plan is None or mkl.library() is not None:
+    if height * width < LARGE or plan is None or mkl.library() is not None:
         return None
     for back in (False, True):
-        note_transform((*planes.shadow.shape[:-1], width // 2), by_row=False, back=back)
+        note_transform(pairs, by_row=False, back=back)
     groups = math.ceil((width // 2 + 1) / LANES)
     items, tiles = math.prod(batch), math.ceil(height / LANES)
     work = torch.empty(items, number, channels, tiles * LANES, groups * _GROUP).numpy()

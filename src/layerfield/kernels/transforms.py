@@ -84,19 +84,35 @@ class Call(NamedTuple):
     handle: int
 
 
-def plane_transform(
-    shape: tuple[int, ...], by_row: bool, back: bool, times: int = 1
-) -> PlaneTransform | None:
-    """Return what transforms planes of such values one by one, so many times, in compiled loops.
+def plane_transform(shape: tuple[int, ...], by_row: bool, back: bool) -> PlaneTransform | None:
+    """Return what transforms planes of such values one by one, in compiled loops.
 
     Each is done by one thread: that pays where all threads have some, but for huge planes. There is
     None otherwise.
     """
+    transform = _for_each_of(shape, by_row, back)
+    if transform is not None:
+        note_transform(shape, by_row, back)
+    return transform
+
+
+def forth_and_back(
+    shape: tuple[int, ...], by_row: bool, times: int
+) -> tuple[PlaneTransform, PlaneTransform] | None:
+    """Return what does so to pixels and to frequencies, in turns, so many times; or None."""
+    forth, back = (_for_each_of(shape, by_row, each) for each in (False, True))
+    if forth is None or back is None:
+        return None
+    for _ in range(times):
+        note_transform(shape, by_row, back=False)
+        note_transform(shape, by_row, back=True)
+    return forth, back
+
+
+def _for_each_of(shape: tuple[int, ...], by_row: bool, back: bool) -> PlaneTransform | None:
     transform = _transform_of(shape, by_row, back)
     if transform is None or not _is_for_each(transform, math.prod(shape[:-2])):
         return None
-    for _ in range(times):
-        note_transform(shape, by_row, back)
     return transform
 
 

@@ -1,13 +1,13 @@
 """The direct solver: ADMM whose linear system is a small matrix per frequency."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.kernels.blends import Blend, Shares
 from layerfield.solve import Problem
+from layerfield.solvers.admm_steps import Constants, after_steps, right_hand_side, right_shares
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,40 +60,23 @@ class FourierAdmm:
         return AdmmState(shadow + dual, self.warm_penalty)
 
     def step(self, problem: Problem, state: AdmmState) -> AdmmState:
-        # s + a (x - z)
-        rest = Blend(Shares(-self.relaxation, 1), state.shadow, problem.bounds)
-        return AdmmState(self._solved(problem, state, self.relaxation, rest), state.penalty)
+        return self.steps(problem, state, 1)
+
+    def steps(self, problem: Problem, state: AdmmState, count: int) -> AdmmState:
+        constants = [Constants(state.penalty, self.relaxation)] * count
+        shadow, _ = after_steps(problem, state.shadow, None, constants, self.balance)
+        return AdmmState(shadow, state.penalty)
 
     def unbounded(
         self, problem: Problem, state: AdmmState
     ) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         """Return x of the next iteration, before the box: it holds the best dual certificate."""
-        return problem.gram.from_torus(self._solved(problem, state))
-
-    def _solved(
-        self, problem: Problem, state: AdmmState, gain: float = 1.0, added: Blend | None = None
-    ) -> Tensor:
-        rho = sum(problem.weights) * state.penalty
-        # z - u + b / rho, z - u = 2 z - s
-        right = right_hand_side(problem, state.shadow, Shares(2, -1, 1 / rho))
-        spectral = problem.gram.spectral
-        return spectral.solved_pixels(right, state.penalty, self.balance, gain, added=added)
+        spectral, constants = problem.gram.spectral, Constants(state.penalty, 1.0)
+        right = right_hand_side(problem, state.shadow, right_shares(spectral, constants))
+        return problem.gram.from_torus(spectral.solved_pixels(right, state.penalty, self.balance))
 
     def layers(self, problem: Problem, state: AdmmState) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         return problem.gram.from_torus(state.shadow).clamp(*problem.bounds)
-
-
-def right_hand_side(
-    problem: Problem, shadow: Float[Tensor, "*batch 1 layer c ty tx"], shares: Shares
-) -> Float[Tensor, "*batch 1 layer c ty tx"] | Blend:
-    """Return shares of z, s and b: A^T W L, and around the views what layers show there."""
-    gram, bounds = problem.gram, problem.bounds
-    right = Blend(shares, shadow, bounds, problem.back_projected)
-    if right.serves() and (strips := gram.strips(shadow, bounds)) is not None:
-        return replace(right, strips=strips)
-    planes = right.planes()
-    gram.add_band_(planes, shadow, shares.other, bounds)
-    return planes
 
 
 def _dual(problem: Problem, iterate: Tensor, rho: float) -> Tensor:

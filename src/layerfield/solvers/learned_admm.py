@@ -1,7 +1,7 @@
 """A few steps of the direct solver, each with constants of its own that were learned."""
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 
 from jaxtyping import Float
@@ -11,48 +11,18 @@ from layerfield.frequencies import Apart, Spectral
 from layerfield.kernels.blends import Blend, Shares
 from layerfield.kernels.small_steps import steps_at_once
 from layerfield.solve import Problem
-from layerfield.solvers.fourier_admm import AdmmState, FourierAdmm, right_hand_side
+from layerfield.solvers.admm_steps import (
+    Constants,
+    after_steps,
+    moved,
+    right_hand_side,
+    right_shares,
+)
+from layerfield.solvers.fourier_admm import AdmmState, FourierAdmm
 
 COARSE = 4  # times larger are the pixels of the coarse steps
 BALANCE = 0.003  # as of the direct solver
-OVERRELAXED = 1.6  # relaxation that leads nowhere astray; constants of few layers go beyond
-_LAYERS = 4  # that may go as far as they want
 _LEAST = 8  # pixels of a coarse torus; smaller pictures go without
-
-
-@dataclass(frozen=True)
-class Constants:
-    """What one step of ADMM depends on.
-
-    Args:
-        penalty: rho as a share of the sum of view weights.
-        relaxation: a, how far to go.
-        trust: factor of the dual that enters the step.
-        kept: share of the dual that the next step is given.
-        momentum: share of the last change that is made once more.
-    """
-
-    penalty: float
-    relaxation: float
-    trust: float
-    kept: float
-    momentum: float
-
-    def among(self, layers: int) -> "Constants":
-        """Return the constants of a step of so many layers; see `stride`."""
-        share, beyond = stride(layers), max(self.relaxation - OVERRELAXED, 0.0)
-        relaxation = self.relaxation - (1 - share**2) * beyond
-        return replace(self, relaxation=relaxation, momentum=share * self.momentum)
-
-
-def stride(layers: int) -> float:
-    """Return how boldly many layers go, as a share of what few do.
-
-    Each layer goes as if the others stayed where they are. Where many go at once, their sum or
-    product goes too far: with the constants of few layers, eight end farther from the optimum after
-    twelve steps than after eight.
-    """
-    return min(1.0, _LAYERS / layers)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,16 +78,23 @@ class LearnedAdmm:
         return LearnedState(after.shadow, None, len(self.full), after)
 
     def step(self, problem: Problem, state: LearnedState) -> LearnedState:
+        return self.steps(problem, state, 1)
+
+    def steps(self, problem: Problem, state: LearnedState, count: int) -> LearnedState:
+        if count == 0:
+            return state
         if state.count == len(self.full):
             known = state.after or self._handed_on(problem, self.layers(problem, state)).after
             assert known is not None
-            after = self.after.step(problem, known)
+            after = self.after.steps(problem, known, count)
             return LearnedState(after.shadow, None, state.count, after)
         if state.count == 0:
-            return LearnedState(self._first(problem, state.shadow), None, 1)
-        constants = self.full[state.count].among(problem.layer_count)
-        moved = after_step(problem, state.shadow, state.before, constants)
-        return LearnedState(moved, state.shadow, state.count + 1)
+            made, number = (self._first(problem, state.shadow), None), 1
+        else:
+            rows = [each.among(problem.layer_count) for each in self.full[state.count :][:count]]
+            made = after_steps(problem, state.shadow, state.before, rows, BALANCE)
+            number = len(rows)
+        return self.steps(problem, LearnedState(*made, state.count + number), count - number)
 
     def layers(
         self, problem: Problem, state: LearnedState
@@ -141,29 +118,16 @@ class LearnedAdmm:
         self, coarser: Spectral, seen: Tensor, bounds: tuple[float, float]
     ) -> Tensor:
         """Return the spectrum of s after all coarse steps."""
-        data, number = coarser.to_pixels(seen).div_(coarser.pixels), len(coarser.symbol)
+        data, number = coarser.low_to_pixels(seen), len(coarser.symbol)
         steps, made = [each.among(number) for each in self.coarse], None
         if coarser.serves(data):
-            known = (data, coarser.symbol, coarser.by_row, coarser.weight, BALANCE, bounds)
-            made = steps_at_once(*known, [astuple(each) for each in steps])
+            made = steps_at_once(data, coarser.system(BALANCE, bounds), steps)
         if made is None:
             made, before = data / (coarser.weight * number), None
             for constants in steps:
-                right = Blend(_right_shares(coarser, constants), made, bounds, data)
-                made, before = _moved(coarser, right, made, before, bounds, constants), made
-        return coarser.to_frequencies(made).mul_(coarser.pixels)
-
-
-def after_step(
-    problem: Problem,
-    shadow: Float[Tensor, "*batch 1 layer c ty tx"],
-    before: Float[Tensor, "*batch 1 layer c ty tx"] | None,
-    constants: Constants,
-) -> Float[Tensor, "*batch 1 layer c ty tx"]:
-    """Return s after a step."""
-    spectral = problem.gram.spectral
-    right = right_hand_side(problem, shadow, _right_shares(spectral, constants))
-    return _moved(spectral, right, shadow, before, problem.bounds, constants)
+                right = Blend(right_shares(coarser, constants), made, bounds, data)
+                made, before = moved(coarser, right, made, before, bounds, constants, BALANCE), made
+        return coarser.to_low(made)
 
 
 def coarse_grid(spectral: Spectral) -> Spectral | None:
@@ -171,26 +135,3 @@ def coarse_grid(spectral: Spectral) -> Spectral | None:
     coarser = spectral.coarser(COARSE)
     height, width = coarser.torus
     return coarser if min(width if coarser.by_row else height, width) >= _LEAST else None
-
-
-def _right_shares(spectral: Spectral, constants: Constants) -> Shares:
-    """Of z - trust (s - z) + b / rho."""
-    other = 1 / (constants.penalty * spectral.weight)
-    return Shares(1 + constants.trust, -constants.trust, other)
-
-
-def _moved(
-    spectral: Spectral,
-    right: Tensor | Blend,
-    shadow: Tensor,
-    before: Tensor | None,
-    bounds: tuple[float, float],
-    constants: Constants,
-) -> Tensor:
-    """Return s after a step, from z - trust u + b / rho."""
-    a, kept = constants.relaxation, constants.kept
-    momentum = 0.0 if before is None else constants.momentum
-    # a x + (1 - a) z + kept (s - z) + momentum (s - s of one step ago)
-    shares = Shares(1 - a - kept, kept + momentum, -momentum)
-    rest = Blend(shares, shadow, bounds, before)
-    return spectral.solved_pixels(right, constants.penalty, BALANCE, gain=a, added=rest)

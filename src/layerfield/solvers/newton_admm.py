@@ -1,7 +1,7 @@
 """Steps for links that are no sum: their slope exactly, their curvature as if they were one."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
@@ -9,9 +9,10 @@ from torch import Tensor
 
 from layerfield.kernels import newton_passes
 from layerfield.solve import Problem
+from layerfield.solvers.admm_steps import Constants, stride
 from layerfield.solvers.fourier_admm import dual_at_bounds
 from layerfield.solvers.fourier_start import FourierStart
-from layerfield.solvers.learned_admm import BALANCE, Constants, stride
+from layerfield.solvers.learned_admm import BALANCE
 
 _LEAST = 0.01  # curvature, as a share of the weight of all views: no pixel is moved more boldly
 # Of the first steps and of those behind them: momentum pays once long strides are made.
@@ -99,7 +100,8 @@ class NewtonAdmm:
         else:
             found = _PLAIN if count < _STRIDES else _LATER
         share = stride(layers)
-        return replace(found, relaxation=share * found.relaxation, momentum=share * found.momentum)
+        relaxation, momentum = share * found.relaxation, share * found.momentum
+        return found._replace(relaxation=relaxation, momentum=momentum)
 
     def layers(
         self, problem: Problem, state: NewtonState

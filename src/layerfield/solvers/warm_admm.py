@@ -8,7 +8,8 @@ from torch import Tensor
 
 from layerfield.motion import framed, moved
 from layerfield.solve import Problem
-from layerfield.solvers.learned_admm import Constants, LearnedState, after_step
+from layerfield.solvers.admm_steps import Constants, after_steps
+from layerfield.solvers.learned_admm import BALANCE, LearnedState
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +38,15 @@ class WarmAdmm:
         return LearnedState(known)
 
     def step(self, problem: Problem, state: LearnedState) -> LearnedState:
-        constants = self.full[min(state.count, len(self.full) - 1)].among(problem.layer_count)
-        after = after_step(problem, state.shadow, state.before, constants)
-        return LearnedState(after, state.shadow, state.count + 1)
+        return self.steps(problem, state, 1)
+
+    def steps(self, problem: Problem, state: LearnedState, count: int) -> LearnedState:
+        rows = [self._constants(problem, state.count + n) for n in range(count)]
+        made = after_steps(problem, state.shadow, state.before, rows, BALANCE)
+        return LearnedState(*made, state.count + count)
+
+    def _constants(self, problem: Problem, count: int) -> Constants:
+        return self.full[min(count, len(self.full) - 1)].among(problem.layer_count)
 
     def layers(
         self, problem: Problem, state: LearnedState

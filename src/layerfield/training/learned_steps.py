@@ -5,7 +5,6 @@ derivatives are themselves once more; the rest is left to autograd.
 """
 
 import math
-from dataclasses import fields
 from typing import Any
 
 import torch
@@ -24,14 +23,9 @@ from layerfield.frequencies import (
 from layerfield.gram import Gram
 from layerfield.projection import sum_of
 from layerfield.solve import Problem
+from layerfield.solvers.admm_steps import OVERRELAXED, Constants, stride
 from layerfield.solvers.fourier_admm import dual_at_bounds
-from layerfield.solvers.learned_admm import (
-    BALANCE,
-    OVERRELAXED,
-    Constants,
-    coarse_grid,
-    stride,
-)
+from layerfield.solvers.learned_admm import BALANCE, coarse_grid
 from layerfield.solvers.newton_admm import renews_scale, scale_of, slope
 
 _FIRST = {"penalty": math.log(0.02), "relaxation": 1.6, "trust": 1.0, "kept": 0.6, "momentum": 0.0}
@@ -146,7 +140,7 @@ def _start(steps: int) -> Tensor:
 
 def _real(rows: Tensor, softest: float = 0.0) -> Tensor:
     """Return constants for what is learned of them: a penalty is above the softest."""
-    assert rows.shape[-1] == len(fields(Constants))
+    assert rows.shape[-1] == len(Constants._fields)
     return torch.cat([rows[:, :1].exp() + softest, rows[:, 1:]], dim=1)
 
 

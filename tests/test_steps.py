@@ -1,0 +1,145 @@
+"""Several steps in one call: the same as one by one."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from displays import SHOWN
+
+from layerfield import Display
+from layerfield.display_spec import parse_spec
+from layerfield.fast import shipped_steps, warm_steps
+from layerfield.kernels import steps, transforms
+from layerfield.kernels.compiled import plain
+from layerfield.kernels.small_steps import steps_at_once
+from layerfield.kernels.transforms import transforms_made
+from layerfield.solve import Problem, Striding, solve
+from layerfield.solvers.fourier_admm import FourierAdmm
+
+SOLVERS = {
+    "direct": FourierAdmm(),
+    "learned": shipped_steps("additive").at_most(5).direct,
+    "warm": warm_steps(4),
+}
+
+
+def posed(kind: str, batch: tuple[int, ...] = (), weights=None) -> Problem:
+    display = Display(parse_spec(f'name = "d"\nlink = "additive"\n{SHOWN[kind]}', "a test"))
+    views = torch.rand(*batch, display.view_count, 3, 33, 46, generator=seeded(3))
+    return Problem.of(display, views, weights)
+
+
+def seeded(seed: int) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def one_by_one(solver, problem: Problem, state, count: int):
+    for _ in range(count):
+        state = solver.step(problem, state)
+    return state
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("kind", ["three layers", "six layers", "one row"])
+@pytest.mark.parametrize(("count", "threads"), [(1, 3), (2, 1), (4, 3), (9, 3)])
+def test_several_steps_are_those_one_by_one(solver, kind, count, threads):
+    torch.set_num_threads(threads)
+    made, problem = SOLVERS[solver], posed(kind, (2,))
+    assert isinstance(made, Striding)
+    start = made.init(problem, None)
+    expected = one_by_one(made, problem, start, count)
+    seen = start.shadow.clone()
+    found = made.steps(problem, start, count)
+    assert torch.equal(start.shadow, seen), "a state is a value"
+    assert torch.equal(found.shadow, expected.shadow)
+    before = getattr(expected, "before", None)
+    if before is not None:
+        assert torch.equal(found.before, before)
+        assert found.count == expected.count
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_several_steps_are_those_of_pytorch(solver):
+    made, problem = SOLVERS[solver], posed("three layers", (2,))
+    found = made.steps(problem, made.init(problem, None), 7)
+    with plain():
+        problem = posed("three layers", (2,))
+        expected = made.steps(problem, made.init(problem, None), 7)
+    assert (found.shadow - expected.shadow).abs().max() < 2e-4
+
+
+def test_who_compiles_computes_as_who_reads_what_was_kept(tmp_path):
+    """Copies of a loop do not round alike; a process must not take now this one, now another."""
+    code = (
+        "import hashlib, test_steps\n"
+        "problem, direct = test_steps.posed('three layers'), test_steps.SOLVERS['direct']\n"
+        "made = direct.steps(problem, direct.init(problem, None), 3).shadow\n"
+        "print(hashlib.sha256(made.numpy().tobytes()).hexdigest())\n"
+    )
+    known = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    given = {"cwd": Path(__file__).parent, "env": known, "text": True}
+    made = [subprocess.check_output([sys.executable, "-c", code], **given) for _ in range(2)]
+    assert made[0] == made[1]
+    assert list(tmp_path.rglob("*.nbi")), "nothing was kept"
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_whoever_goes_on_goes_on_alike(solver):
+    made, problem = SOLVERS[solver], posed("three layers")
+    start = made.init(problem, None)
+    once = made.steps(problem, start, 7)
+    twice = made.steps(problem, made.steps(problem, start, 3), 4)
+    assert torch.equal(once.shadow, twice.shadow)
+    assert torch.equal(made.steps(problem, once, 0).shadow, once.shadow)
+
+
+def test_many_iterations_are_made_at_once_where_nobody_looks():
+    problem, direct = posed("three layers"), FourierAdmm()
+    with transforms_made() as transforms:
+        found = solve(problem, direct, iterations=23)
+    assert (found.iterations, len(transforms)) == (23, 46)
+    seen = []
+    watched = solve(problem, direct, iterations=23, callback=lambda n, _: seen.append(n))
+    assert seen == list(range(1, 24))
+    assert torch.equal(found.layers, watched.layers)
+
+
+def test_others_are_made_one_by_one(monkeypatch):
+    """Large planes, where nothing calls threads, views that count apart, and PyTorch alone."""
+    direct = FourierAdmm()
+    uneven = posed(
+        "three layers", weights=[1.0 + n for n in range(len(posed("three layers").weights))]
+    )
+    problem = posed("three layers")
+    expected = one_by_one(direct, problem, direct.init(problem, None), 3).shadow
+    for where, name, other in (
+        (steps, "LARGE", 1),
+        (steps, "parallel_address", lambda: None),
+        (transforms, "_maker", lambda: None),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setattr(where, name, other)
+            patch.setattr(steps, "_make_steps", None)
+            found = direct.steps(problem, direct.init(problem, None), 3).shadow
+        assert (found - expected).abs().max() < 5e-5
+    monkeypatch.setattr(steps, "_make_steps", None)
+    direct.steps(uneven, direct.init(uneven, None), 2)
+    with plain():
+        found = direct.steps(problem, direct.init(problem, None), 3).shadow
+    assert (found - expected).abs().max() < 5e-5
+
+
+def test_matrices_of_another_size_are_refused():
+    problem = posed("three layers")
+    gram = problem.gram
+    assert gram.sides is not None
+    shadow = problem.even_start(gram.torus)
+    system, row = gram.spectral.system(0.0, (0, 1)), (0.1, 1, 1, 1, 0)
+    other = system._replace(symbol=system.symbol[..., 1:])
+    with pytest.raises(ValueError, match="found matrices"):
+        steps.steps_in_one_call(shadow, None, problem.back_projected, other, gram.sides, [row])
+    with pytest.raises(ValueError, match="found matrices"):
+        steps_at_once(shadow, other, [row])

@@ -187,6 +187,14 @@ def test_facts(made, original):
         assert not re.search(rf"\b{re.escape(private)}\b", text)
 
 
+def test_constants_of_steps_are_recorded_by_name(desk):
+    succeed(*SYNTH, "--method", "fast", "--iterations", "2")
+    solver = json.loads((desk / "out" / "result.json").read_text())["solver"]
+    names = ["penalty", "relaxation", "trust", "kept", "momentum"]
+    assert [list(each) for each in solver["full"]] == [names] * 2
+    assert solver["after"]["penalty"] == 0.05
+
+
 def test_psnr_is_that_of_the_written_pictures(made, original):
     layers = [read(made / "layers" / f"layer_{k}.png") / 255 for k in range(3)]
     views = np.zeros((5, 5, HEIGHT, WIDTH, 3))

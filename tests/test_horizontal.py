@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from layerfield import Display, LightField, procedural_light_field, solve
+from layerfield.display_constants import DisplayConstants
 from layerfield.display_spec import parse_spec
 from layerfield.fast import shipped_steps, warm_steps
-from layerfield.gram import Gram
 from layerfield.projection import Projection
 from layerfield.solve import Problem
 from layerfield.solvers.fourier_admm import FourierAdmm
@@ -74,10 +74,10 @@ def test_the_optimum_is_that_of_both_directions(field, monkeypatch):
     problem = Problem.of(display(), field.views)
     by_row = problem.mean_square_error(solve(problem, solver, iterations=300).layers)
     monkeypatch.setattr(Projection, "is_horizontal", False)
-    apart = replace(problem)
-    gram = Gram(problem.projection, problem.weights, SIZE, field.views)
-    apart.__dict__["gram"] = gram
-    assert not gram.spectral.by_row
+    apart, views = replace(problem), field.views
+    posed = problem.projection, problem.weights, SIZE, views.dtype, views.device
+    apart.__dict__["constants"] = DisplayConstants(*posed)  # those that are kept are of rows
+    assert not apart.gram.spectral.by_row
     both = apart.mean_square_error(solve(apart, solver, iterations=300).layers)
     assert by_row == pytest.approx(both, rel=1e-3)
 

@@ -45,7 +45,8 @@ def one_by_one(solver, problem: Problem, state, count: int):
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("kind", ["three layers", "six layers", "one row"])
 @pytest.mark.parametrize(("count", "threads"), [(1, 3), (2, 1), (4, 3), (9, 3)])
-def test_several_steps_are_those_one_by_one(solver, kind, count, threads):
+def test_several_steps_are_those_one_by_one(monkeypatch, solver, kind, count, threads):
+    monkeypatch.setattr(steps, "FEW", 0)
     torch.set_num_threads(threads)
     made, problem = SOLVERS[solver], posed(kind, (2,))
     assert isinstance(made, Striding)
@@ -74,7 +75,8 @@ def test_several_steps_are_those_of_pytorch(solver):
 def test_who_compiles_computes_as_who_reads_what_was_kept(tmp_path):
     """Copies of a loop do not round alike; a process must not take now this one, now another."""
     code = (
-        "import hashlib, test_steps\n"
+        "import hashlib, torch, test_steps\n"
+        "torch.set_num_threads(1)\n"
         "problem, direct = test_steps.posed('three layers'), test_steps.SOLVERS['direct']\n"
         "made = direct.steps(problem, direct.init(problem, None), 3).shadow\n"
         "print(hashlib.sha256(made.numpy().tobytes()).hexdigest())\n"
@@ -134,12 +136,26 @@ def test_others_are_made_one_by_one(monkeypatch):
 
 def test_matrices_of_another_size_are_refused():
     problem = posed("three layers")
-    gram = problem.gram
-    assert gram.sides is not None
-    shadow = problem.even_start(gram.torus)
-    system, row = gram.spectral.system(0.0, (0, 1)), (0.1, 1, 1, 1, 0)
+    shadow, system = problem.even_start(problem.gram.torus), problem.gram.spectral.system(0, (0, 1))
     other = system._replace(symbol=system.symbol[..., 1:])
     with pytest.raises(ValueError, match="found matrices"):
-        steps.steps_in_one_call(shadow, None, problem.back_projected, other, gram.sides, [row])
+        in_one_call(problem, system=other)
     with pytest.raises(ValueError, match="found matrices"):
-        steps_at_once(shadow, other, [row])
+        steps_at_once(shadow, other, [(0.1, 1, 1, 1, 0)])
+    with pytest.raises(ValueError, match="found planes"):
+        in_one_call(problem, data=torch.nn.functional.pad(shadow, (0, 1)))
+
+
+def test_memory_that_is_short_is_an_error(monkeypatch):
+    monkeypatch.setattr(steps, "_make_steps", lambda *_: True)
+    with pytest.raises(MemoryError, match="compiled loop"):
+        in_one_call(posed("three layers"))
+
+
+def in_one_call(problem: Problem, *, data=None, system=None):
+    gram, row = problem.gram, (0.1, 1, 1, 1, 0)
+    shadow = problem.even_start(gram.torus)
+    data = problem.back_projected if data is None else data
+    known = system or gram.spectral.system(0.0, problem.bounds)
+    assert gram.sides is not None
+    return steps.steps_in_one_call(shadow, None, data, known, gram.sides, [row])

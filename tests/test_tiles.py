@@ -6,10 +6,11 @@ import pytest
 import torch
 
 from layerfield import Display, LightField, procedural_light_field, psnr, solve, synthesize
+from layerfield.kernels.transforms import transforms_made
 from layerfield.solve import Problem
-from layerfield.solvers.fourier_admm import FourierAdmm
+from layerfield.solvers.fourier_admm import AdmmState, FourierAdmm
 from layerfield.solvers.fourier_start import FourierStart
-from layerfield.solvers.tiled_admm import TiledAdmm
+from layerfield.solvers.tiled_admm import TiledAdmm, TiledState
 from layerfield.synthesizer import pose
 
 CODE = 1 / 255
@@ -22,8 +23,12 @@ def field():
 
 def both(problem, iterations):
     """Return the layers of the whole, and those made in tiles."""
-    solvers = FourierAdmm(), TiledAdmm(size=210)
-    return [solve(problem, solver, iterations=iterations).layers for solver in solvers]
+    whole, tiled = (
+        solve(problem, solver, iterations=iterations)
+        for solver in (FourierAdmm(), TiledAdmm(size=210))
+    )
+    assert (type(whole.state), type(tiled.state)) == (AdmmState, TiledState)
+    return whole.layers, tiled.layers
 
 
 @pytest.mark.parametrize("iterations", [1, 10, 40])
@@ -43,6 +48,14 @@ def test_tiles_serve_other_links(field, link):
     tiled = replace(whole, direct=TiledAdmm(size=210))
     made = [solve(problem, each, iterations=1).layers for each in (whole, tiled)]
     assert (made[1] - made[0]).abs().max() < CODE / 2
+
+
+def test_no_transform_is_larger_than_a_tile(field):
+    problem = pose(field, Display.load("additive-3"))
+    with transforms_made() as transforms:
+        solve(problem, TiledAdmm(size=210), iterations=3)
+    width = problem.gram.torus[1]
+    assert {2 * each.shape[-1] for each in transforms} == {210} != {width}
 
 
 def test_no_seam_shows_where_a_dark_half_meets_a_bright_one(field):

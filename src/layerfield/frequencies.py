@@ -110,7 +110,7 @@ class Spectral:
         return Pairs.of_low(spectrum, self.by_row, 2 / count).planes()
 
     def to_low(self, planes: Float[Tensor, "*batch c ty tx"]) -> Complex[Tensor, "*batch c fy fx"]:
-        """Return the spectrum again, without the highest; planes may be written on."""
+        """Return the spectrum again, whose highest do not count; planes may be written on."""
         if not self.serves(planes):
             return self.to_frequencies(planes).mul_(self.pixels)
         return Pairs.of(planes, self.by_row).low(self.torus).mul_(self.pixels)

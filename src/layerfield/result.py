@@ -208,7 +208,16 @@ def write_views_array(
 
 def _hyper_parameters(solution: Solution) -> dict[str, Any]:
     solver = solution.solver
-    return dataclasses.asdict(solver) if dataclasses.is_dataclass(solver) else {}  # pyright: ignore[reportArgumentType]
+    return _by_name(solver) if dataclasses.is_dataclass(solver) else {}
+
+
+def _by_name(value: Any) -> Any:
+    """Return plain data: what dataclasses and named tuples hold, by name."""
+    if dataclasses.is_dataclass(value):
+        return {name: _by_name(each) for name, each in vars(value).items()}
+    if hasattr(value, "_asdict"):
+        return {name: _by_name(each) for name, each in value._asdict().items()}
+    return [_by_name(each) for each in value] if isinstance(value, tuple | list) else value
 
 
 def _quality(found: Figures) -> dict[str, Any]:

@@ -32,6 +32,7 @@ from layerfield.projection import Projection
 
 _SEED = 0  # of what makes subframes differ
 _STRIDE = 10  # iterations at once: between them the keyboard can interrupt
+_LARGE = 1 << 20  # pixels of a layer from which on an iteration takes long, and a state much memory
 APART = 0.05  # how much they differ; on procedural scenes sweeps ended higher the less they did
 
 
@@ -317,6 +318,7 @@ def solve(
     records: list[Progress] = []
     status = f"stopped after the {iterations} iterations asked for"
     done = 0
+    stride = 1 if watched or math.prod(problem.layer_shape[-2:]) >= _LARGE else _STRIDE
     # Where nobody looks at what is between, an accelerator is waited for once, not at every step.
     with nullcontext() if watched else clock:
         with torch.no_grad(), clock:
@@ -325,7 +327,7 @@ def solve(
             if clock.seconds > time_limit:
                 status = f"stopped at the time limit of {time_limit:g} s"
                 break
-            count = 1 if watched else min(_STRIDE, iterations - done)
+            count = min(stride, iterations - done)
             with torch.no_grad(), clock:
                 before = solver.layers(problem, state).clone() if tolerance > 0 else None
                 state = _after(solver, problem, state, count)

@@ -1,6 +1,7 @@
 """Sums of what a step of ADMM is made of, in one pass over the layers."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -61,13 +62,8 @@ class Blend:
 
     def sum(self) -> "Sum":
         """Return the same for compiled loops."""
-        (height, width), batch = self.shadow.shape[-2:], self.shadow.shape[:-2]
-        other, added = self.other, _NONE
-        if other is not None:
-            if other.shape[-2] > height or other.shape[-1] > width:
-                found = tuple(other.shape[-2:])
-                raise ValueError(f"found planes of {found}, expected {height, width}")
-            added = planes_of(other.expand(*batch, -1, -1).contiguous())
+        height, batch = self.shadow.shape[-2], self.shadow.shape[:-2]
+        added = _NONE if self.other is None else corners_of(self.other, self.shadow.shape)
         strips = NO_STRIPS if self.strips is None else self.strips.times(self.shares.other)
         if strips is not NO_STRIPS and strips.beside.shape[:2] != (math.prod(batch), height):
             raise ValueError(f"found strips of {strips.beside.shape[:2]}, expected {batch, height}")
@@ -97,6 +93,23 @@ class Sum(NamedTuple):
     shares: Shares
     low: np.float32
     high: np.float32
+
+
+def corners_of(other: Float[Tensor, "*batch ly lx"], shape: Sequence[int]) -> np.ndarray:
+    """Return what lies in the top left corner of planes, as `[plane, y, x]`.
+
+    Args:
+        other: of as many planes, or of one for several.
+        shape: of the planes.
+
+    Raises:
+        ValueError: it is larger.
+    """
+    *batch, height, width = shape
+    if other.shape[-2] > height or other.shape[-1] > width:
+        found = tuple(other.shape[-2:])
+        raise ValueError(f"found planes of {found}, expected {height, width}")
+    return planes_of(other.expand(*batch, -1, -1).contiguous())
 
 
 def planes_of(values: Float[Tensor, "*batch y x"]) -> np.ndarray:

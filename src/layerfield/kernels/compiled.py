@@ -85,11 +85,11 @@ class compiled:  # noqa: N801 - a decorator
         Raises:
             MemoryError: there was none for what the function keeps to itself.
         """
-        threads = torch.get_num_threads() if numbers >= FEW else 1
+        threads = torch.get_num_threads() if numbers >= FEW and count > 1 else 1
         if (address := parallel_address()) is not None:
             if self.region(arguments, count, threads, address):
                 raise MemoryError("there is not enough memory for a compiled loop")
-        elif threads == 1 or count < 2:
+        elif threads == 1:
             self(*arguments, 0, count)
         else:
             length = math.ceil(count / (SPANS * threads))
@@ -140,7 +140,7 @@ class spread:  # noqa: N801 - beside `compiled`
     """What compiled functions call to have another called for spans, by all threads.
 
     It takes a tuple of the other's arguments but for the last two; the count of what is divided;
-    how many threads; and where `parallel_address` is. It returns whether memory was short.
+    how many threads; and what `parallel_address` returns. It returns whether memory was short.
 
     Args:
         function: that is called; see `compiled.in_spans`.

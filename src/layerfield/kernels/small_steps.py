@@ -67,7 +67,9 @@ def steps_at_once(
     seen = data.transpose(-4, -3).contiguous().view(-1, number, height, width)
     made = torch.empty_like(seen)
     known = _Known(system, NO_STRIPS, *map(call_of, transforms))
-    given = (made.numpy(), seen.numpy(), np.array(constants, np.float32), known)
+    rows = np.array(constants, np.float32)
+    rows[0, -1] = 0  # there is no s of one step ago
+    given = (made.numpy(), seen.numpy(), rows, known)
     _make_steps.in_spans(*given, count=len(seen), numbers=len(constants) * made.numel())
     return made.view(*batch, channels, number, height, width).transpose(-4, -3)
 
@@ -99,8 +101,9 @@ def _make_steps(result, data, constants, known, begin, end):
             symbol, turns = system.symbol, system.turns
             terms = terms_of(constants[n], system, points)
             solve_rows(spectrum, symbol, turns, terms, other, window, by_row, 0, rows)
-            rest_shares = shares_of_rest(constants[n], n == 0)
-            rest = Sum(shadow, _NONE if n == 0 else before, strips, rest_shares, low, high)
+            rest_shares = shares_of_rest(constants[n])
+            ago = _NONE if constants[n, 4] == 0 else before
+            rest = Sum(shadow, ago, strips, rest_shares, low, high)
             for k in range(number):
                 transform_one(work[k], known.back)
                 for y in range(height):

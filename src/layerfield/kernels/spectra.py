@@ -84,7 +84,7 @@ class Pairs:
 
     @classmethod
     def of_low(
-        cls, spectrum: Complex[Tensor, "*batch fy fx"], by_row: bool, factor: float = 1.0
+        cls, spectrum: Complex[Tensor, "*batch fy fx"], by_row: bool, factor: float
     ) -> "Pairs":
         """Return Z of a multiple of X as `low` returns it, whose highest frequencies do not count.
 

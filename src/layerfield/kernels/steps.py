@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.kernels.blends import Sum, planes_of
+from layerfield.kernels.blends import Sum, corners_of
 from layerfield.kernels.compiled import compiled, spread
 from layerfield.kernels.planes import back, forth
 from layerfield.kernels.spectra import refuse_other_matrices, solve_rows
@@ -83,7 +83,7 @@ def steps_in_one_call(
         constants: of every step.
 
     Raises:
-        ValueError: a system of another size.
+        ValueError: a system of another size, or larger data.
         MemoryError: there was none for what is in between.
     """
     number, channels, height, width = shadow.shape[-4:]
@@ -102,7 +102,7 @@ def steps_in_one_call(
     given = [each.contiguous().view(by).numpy() for each in (shadow, before)]
     own = tuple(made[n % len(made)].view(by).numpy() for n in range(_AT_ONCE))
     known = _Known(
-        data=planes_of(data.expand(*shadow.shape[:-2], -1, -1).contiguous()),
+        data=corners_of(data, shadow.shape),
         system=system,
         sides=sides,
         forth=to_frequencies,
@@ -150,7 +150,9 @@ def _make_steps(own, shadow, before, below, beside, columns, constants, known, t
         pairs = (made, system.symbol, system.turns, terms, known.other, known.window, system.by_row)
         failed += _solve(pairs, height // 2 + 1, threads, address)
         other = known.none if row[4] == 0 else before.reshape(flat)
-        rest = Sum(seen, other, known.strips, shares_of_rest(row, False), low, high)
+        rest = Sum(seen, other, known.strips, shares_of_rest(row), low, high)
         failed += _back((work, rest, known.back), planes, threads, address)
         shadow, before = made, shadow
+        if failed:
+            break
     return failed > 0

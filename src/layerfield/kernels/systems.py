@@ -15,11 +15,11 @@ _ZERO: Any = np.float32(0)  # numbers as all others are: whole ones would make t
 _ONE: Any = np.float32(1)
 
 Steps = Sequence[tuple[float, float, float, float, float]]
-"""Penalty, relaxation, trust, kept and momentum of every step, as of `LearnedAdmm`."""
+"""Penalty, relaxation, trust, kept and momentum of every step, as of `admm_steps.Constants`."""
 
 
 class System(NamedTuple):
-    """G(f) + rho I, and the bounds of layers.
+    """G(f), to which every step adds its rho I, and the bounds of layers.
 
     Args:
         symbol: G(f), of a single row where all are transformed by themselves.
@@ -76,9 +76,9 @@ def shares_of_right(constants, weight):
 
 
 @compiled
-def shares_of_rest(constants, is_first):
+def shares_of_rest(constants):
     """Of what is added to a x: (1 - a) z + kept (s - z) + momentum (s - s of one step ago)."""
-    a, kept, momentum = constants[1], constants[3], _ZERO if is_first else constants[4]
+    a, kept, momentum = constants[1], constants[3], constants[4]
     return Shares(_ONE - a - kept, kept + momentum, -momentum)
 
 

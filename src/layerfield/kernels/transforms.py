@@ -99,7 +99,7 @@ def plane_transform(shape: tuple[int, ...], by_row: bool, back: bool) -> PlaneTr
 def forth_and_back(
     shape: tuple[int, ...], by_row: bool, times: int
 ) -> tuple[PlaneTransform, PlaneTransform] | None:
-    """Return what does so to pixels and to frequencies, in turns, so many times; or None."""
+    """Return what does so, and what leads back, for so many times in turns; or None."""
     forth, back = (_for_each_of(shape, by_row, each) for each in (False, True))
     if forth is None or back is None:
         return None

@@ -71,17 +71,16 @@ def after_steps(
         constants: of every step.
         balance: as of `FourierAdmm`.
     """
-    gram, data = problem.gram, problem.back_projected
-    spectral, planes = gram.spectral, (shadow, before, data)
-    served = gram.sides is not None and spectral.serves(*(p for p in planes if p is not None))
-    if constants and gram.sides is not None and served and not spectral.by_row:
+    data, spectral, sides = problem.back_projected, problem.gram.spectral, problem.gram.sides
+    if constants and sides is not None and spectral.serves(shadow, before, data):
         system = spectral.system(balance, problem.bounds)
-        made = steps_in_one_call(shadow, before, data, system, gram.sides, constants)
+        made = steps_in_one_call(shadow, before, data, system, sides, constants)
         if made is not None:
             return made
     for each in constants:
         right = right_hand_side(problem, shadow, right_shares(spectral, each))
         after = moved(spectral, right, shadow, before, problem.bounds, each, balance)
+        del right  # as large as all layers, and there is another in the next step
         shadow, before = after, shadow
     return shadow, before
 
@@ -116,8 +115,9 @@ def moved(
 ) -> Float[Tensor, "*batch layer c ty tx"]:
     """Return s after a step, from z - trust u + b / rho."""
     a, kept = constants.relaxation, constants.kept
-    momentum = 0.0 if before is None else constants.momentum
+    ago = before if constants.momentum != 0 else None
+    momentum = 0.0 if ago is None else constants.momentum
     # a x + (1 - a) z + kept (s - z) + momentum (s - s of one step ago)
     shares = Shares(1 - a - kept, kept + momentum, -momentum)
-    rest = Blend(shares, shadow, bounds, before)
+    rest = Blend(shares, shadow, bounds, ago)
     return spectral.solved_pixels(right, constants.penalty, balance, gain=a, added=rest)

@@ -96,8 +96,13 @@ class TiledAdmm(FourierAdmm):
             shadow = gram.to_torus(start + _dual(problem, start, penalty * sum(weights)))
         return TiledState(shadow, penalty, tile, rows, columns)
 
-    def step(self, problem: Problem, state: AdmmState) -> AdmmState:
-        assert isinstance(state, TiledState)
+    def steps(self, problem: Problem, state: AdmmState, count: int) -> AdmmState:
+        for _ in range(count):
+            assert isinstance(state, TiledState)
+            state = self._step(problem, state)
+        return state
+
+    def _step(self, problem: Problem, state: TiledState) -> TiledState:
         share = 1 / (2 * state.penalty * sum(problem.weights))
         result = state.shadow.clamp(*problem.bounds)
         right = torch.sub(result, state.shadow, alpha=0.5)

@@ -26,7 +26,7 @@ class Effort:
     """How carefully runs are measured.
 
     Args:
-        repeats: runs after the warm-up, of which the median counts.
+        repeats: runs after the warm-up, at least, of which the median counts; see `timed`.
         cap: seconds; a run that takes longer is not repeated, and its method gets no more
             iterations on that field and display.
         memory: measure peak memory in a process of its own, with a method's most iterations.

@@ -75,7 +75,8 @@ def test_the_optimum_is_that_of_both_directions(field, monkeypatch):
     by_row = problem.mean_square_error(solve(problem, solver, iterations=300).layers)
     monkeypatch.setattr(Projection, "is_horizontal", False)
     apart, views = replace(problem), field.views
-    posed = problem.projection, problem.weights, SIZE, views.dtype, views.device
+    projection = replace(problem.projection)  # that has not looked whether it is of rows
+    posed = projection, problem.weights, SIZE, views.dtype, views.device
     apart.__dict__["constants"] = DisplayConstants(*posed)  # those that are kept are of rows
     assert not apart.gram.spectral.by_row
     both = apart.mean_square_error(solve(apart, solver, iterations=300).layers)

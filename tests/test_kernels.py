@@ -161,6 +161,14 @@ def _ask_for_too_much(visits, begin, end):
     visits[begin] = np.zeros(1 << 56)[0]
 
 
+_ask = compiled.spread(_ask_for_too_much)
+
+
+@compiled.compiled
+def _ask_in_turn(visits, count, address):
+    return _ask((visits,), len(visits), count, address)
+
+
 @pytest.fixture(params=["PyTorch's", "our own", "one"])
 def some_threads(request, monkeypatch):
     torch.set_num_threads(1 if request.param == "one" else 3)
@@ -183,6 +191,14 @@ def test_spans_come_to_all_there_is(count, numbers):
 def test_loops_that_get_no_memory_say_so():
     with pytest.raises(MemoryError):
         _ask_for_too_much.in_spans(np.zeros(9), count=9, numbers=1 << 30)
+
+
+def test_loops_that_others_call_say_so_too():
+    address = threads.parallel_address()
+    if address is None:
+        pytest.skip("PyTorch's threads are others here")
+    for count in (1, 3):
+        assert _ask_in_turn(np.zeros(9), count, address) > 0
 
 
 def test_every_task_is_done_once():

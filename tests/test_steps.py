@@ -3,20 +3,25 @@
 import os
 import subprocess
 import sys
+from importlib import import_module
+from inspect import isclass
 from pathlib import Path
+from pkgutil import iter_modules
 
 import pytest
 import torch
 from displays import SHOWN
 
-from layerfield import Display
+from layerfield import Display, solvers
 from layerfield.display_spec import parse_spec
 from layerfield.fast import shipped_steps, warm_steps
 from layerfield.kernels import steps, transforms
 from layerfield.kernels.compiled import plain
 from layerfield.kernels.small_steps import steps_at_once
+from layerfield.kernels.steps import steps_in_one_call
 from layerfield.kernels.transforms import transforms_made
 from layerfield.solve import Problem, Striding, solve
+from layerfield.solvers import admm_steps
 from layerfield.solvers.fourier_admm import FourierAdmm
 
 SOLVERS = {
@@ -98,15 +103,38 @@ def test_whoever_goes_on_goes_on_alike(solver):
     assert torch.equal(made.steps(problem, once, 0).shadow, once.shadow)
 
 
-def test_many_iterations_are_made_at_once_where_nobody_looks():
+def test_many_iterations_are_made_at_once_where_nobody_looks(monkeypatch):
     problem, direct = posed("three layers"), FourierAdmm()
+    counts = []
+
+    def counted(*given):
+        made = steps_in_one_call(*given)
+        assert made is not None
+        counts.append(len(given[-1]))
+        return made
+
+    monkeypatch.setattr(admm_steps, "steps_in_one_call", counted)
     with transforms_made() as transforms:
         found = solve(problem, direct, iterations=23)
-    assert (found.iterations, len(transforms)) == (23, 46)
+    assert (found.iterations, len(transforms), counts) == (23, 46, [10, 10, 3])
     seen = []
     watched = solve(problem, direct, iterations=23, callback=lambda n, _: seen.append(n))
     assert seen == list(range(1, 24))
+    assert counts[3:] == [1] * 23
     assert torch.equal(found.layers, watched.layers)
+
+
+def test_who_makes_steps_of_its_own_makes_several_of_them():
+    """A solver that inherits `steps` and has another `step` would make those of its parent."""
+    modules = [
+        import_module(f"layerfield.solvers.{each.name}") for each in iter_modules(solvers.__path__)
+    ]
+    known = {each for module in modules for each in vars(module).values() if isclass(each)}
+    striding = [each for each in known if hasattr(each, "steps")]
+    assert len(striding) >= 4
+    for each in striding:
+        first = next(kind for kind in each.__mro__ if {"step", "steps"} & vars(kind).keys())
+        assert "steps" in vars(first), each
 
 
 def test_others_are_made_one_by_one(monkeypatch):

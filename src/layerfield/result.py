@@ -13,7 +13,7 @@ OUT/targets/view_RR_CC.png   what they should see, if asked for
 import dataclasses
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -214,7 +214,7 @@ def _hyper_parameters(solution: Solution) -> dict[str, Any]:
 def _by_name(value: Any) -> Any:
     """Return plain data: what dataclasses and named tuples hold, by name."""
     if dataclasses.is_dataclass(value):
-        return {name: _by_name(each) for name, each in vars(value).items()}
+        return {each.name: _by_name(getattr(value, each.name)) for each in fields(value)}
     if hasattr(value, "_asdict"):
         return {name: _by_name(each) for name, each in value._asdict().items()}
     return [_by_name(each) for each in value] if isinstance(value, tuple | list) else value

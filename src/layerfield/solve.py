@@ -1,7 +1,8 @@
 """The one loop behind every solver: iterations, stopping, time limit, callback, history.
 
 A solver is a frozen set of hyper-parameters with `init`, `step` and `layers`; its state is a value
-passed along. An unrolled network calls `step` itself.
+passed along. An unrolled network calls `step` itself. One that has `steps`, too, is asked for
+several at once, and for single ones where somebody looks at what is between.
 """
 
 import math
@@ -318,7 +319,8 @@ def solve(
     records: list[Progress] = []
     status = f"stopped after the {iterations} iterations asked for"
     done = 0
-    stride = 1 if watched or math.prod(problem.layer_shape[-2:]) >= _LARGE else _STRIDE
+    is_large = math.prod(problem.layer_shape[-2:]) >= _LARGE
+    stride = 1 if watched or is_large or not isinstance(solver, Striding) else _STRIDE
     # Where nobody looks at what is between, an accelerator is waited for once, not at every step.
     with nullcontext() if watched else clock:
         with torch.no_grad(), clock:
@@ -330,7 +332,10 @@ def solve(
             count = min(stride, iterations - done)
             with torch.no_grad(), clock:
                 before = solver.layers(problem, state).clone() if tolerance > 0 else None
-                state = _after(solver, problem, state, count)
+                if isinstance(solver, Striding):
+                    state = solver.steps(problem, state, count)
+                else:
+                    state = solver.step(problem, state)
                 done += count
                 change = _change(before, problem, solver, state)
             if history:
@@ -362,15 +367,6 @@ def _start(problem: Problem, solver: Solver, init: Solution | Tensor | None) -> 
             f"{expected} [subframe, layer, channel, y, x]"
         )
     return layers
-
-
-def _after(solver: Solver, problem: Problem, state: State, count: int) -> State:
-    """Return the state after so many iterations."""
-    if isinstance(solver, Striding):
-        return solver.steps(problem, state, count)
-    for _ in range(count):
-        state = solver.step(problem, state)
-    return state
 
 
 def _change(before: Tensor | None, problem: Problem, solver: Solver, state: State) -> float:

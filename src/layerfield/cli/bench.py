@@ -50,7 +50,7 @@ def bench_command(
         str, typer.Option("--budgets", help="iterations of methods that are given none")
     ] = _BUDGETS,
     repeats: Annotated[
-        int, typer.Option("--repeats", min=1, help="runs whose median counts")
+        int, typer.Option("--repeats", min=1, help="runs whose median counts, at least")
     ] = Effort.repeats,
     cap: Annotated[
         float, typer.Option("--cap", help="seconds of a run, behind which a method stops")

@@ -29,15 +29,20 @@ class Constants(NamedTuple):
 
     penalty: float
     relaxation: float
-    trust: float = 1.0
-    kept: float = 1.0
-    momentum: float = 0.0
+    trust: float
+    kept: float
+    momentum: float
 
     def among(self, layers: int) -> "Constants":
         """Return the constants of a step of so many layers; see `stride`."""
         share, beyond = stride(layers), max(self.relaxation - OVERRELAXED, 0.0)
         relaxation = self.relaxation - (1 - share**2) * beyond
         return self._replace(relaxation=relaxation, momentum=share * self.momentum)
+
+
+def plain_constants(penalty: float, relaxation: float = 1.0) -> Constants:
+    """Return those of ADMM as it is known."""
+    return Constants(penalty, relaxation, trust=1.0, kept=1.0, momentum=0.0)
 
 
 def stride(layers: int) -> float:

@@ -7,7 +7,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.solve import Problem
-from layerfield.solvers.admm_steps import Constants, after_steps, right_hand_side, right_shares
+from layerfield.solvers.admm_steps import (
+    after_steps,
+    plain_constants,
+    right_hand_side,
+    right_shares,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +68,7 @@ class FourierAdmm:
         return self.steps(problem, state, 1)
 
     def steps(self, problem: Problem, state: AdmmState, count: int) -> AdmmState:
-        constants = [Constants(state.penalty, self.relaxation)] * count
+        constants = [plain_constants(state.penalty, self.relaxation)] * count
         shadow, _ = after_steps(problem, state.shadow, None, constants, self.balance)
         return AdmmState(shadow, state.penalty)
 
@@ -71,7 +76,7 @@ class FourierAdmm:
         self, problem: Problem, state: AdmmState
     ) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         """Return x of the next iteration, before the box: it holds the best dual certificate."""
-        spectral, constants = problem.gram.spectral, Constants(state.penalty, 1.0)
+        spectral, constants = problem.gram.spectral, plain_constants(state.penalty)
         right = right_hand_side(problem, state.shadow, right_shares(spectral, constants))
         return problem.gram.from_torus(spectral.solved_pixels(right, state.penalty, self.balance))
 

@@ -83,7 +83,7 @@ class LearnedAdmm:
     def steps(self, problem: Problem, state: LearnedState, count: int) -> LearnedState:
         if count == 0:
             return state
-        if state.count == len(self.full):
+        if state.after is not None or state.count >= len(self.full):
             known = state.after or self._handed_on(problem, self.layers(problem, state)).after
             assert known is not None
             after = self.after.steps(problem, known, count)

@@ -20,7 +20,7 @@ from layerfield.kernels.compiled import plain
 from layerfield.kernels.small_steps import steps_at_once
 from layerfield.kernels.steps import steps_in_one_call
 from layerfield.kernels.transforms import transforms_made
-from layerfield.solve import Problem, Striding, solve
+from layerfield.solve import MultiStep, Problem, solve
 from layerfield.solvers import admm_steps
 from layerfield.solvers.fourier_admm import FourierAdmm
 
@@ -54,7 +54,7 @@ def test_several_steps_are_those_one_by_one(monkeypatch, solver, kind, count, th
     monkeypatch.setattr(steps, "FEW", 0)
     torch.set_num_threads(threads)
     made, problem = SOLVERS[solver], posed(kind, (2,))
-    assert isinstance(made, Striding)
+    assert isinstance(made, MultiStep)
     start = made.init(problem, None)
     expected = one_by_one(made, problem, start, count)
     seen = start.shadow.clone()
@@ -130,9 +130,9 @@ def test_who_makes_steps_of_its_own_makes_several_of_them():
         import_module(f"layerfield.solvers.{each.name}") for each in iter_modules(solvers.__path__)
     ]
     known = {each for module in modules for each in vars(module).values() if isclass(each)}
-    striding = [each for each in known if hasattr(each, "steps")]
-    assert len(striding) >= 4
-    for each in striding:
+    several = [each for each in known if hasattr(each, "steps")]
+    assert len(several) >= 4
+    for each in several:
         first = next(kind for kind in each.__mro__ if {"step", "steps"} & vars(kind).keys())
         assert "steps" in vars(first), each
 

@@ -32,7 +32,7 @@ from layerfield.pieces import Piece, pieces
 from layerfield.projection import Projection
 
 _SEED = 0  # of what makes subframes differ
-_STRIDE = 10  # iterations at once: between them the keyboard can interrupt
+_AT_ONCE = 10  # iterations at once: between them the keyboard can interrupt
 _LARGE = 1 << 20  # pixels of a layer from which on an iteration takes long, and a state much memory
 APART = 0.05  # how much they differ; on procedural scenes sweeps ended higher the less they did
 
@@ -241,7 +241,7 @@ class Solver(Protocol):
 
 
 @runtime_checkable
-class Striding(Solver, Protocol):
+class MultiStep(Solver, Protocol):
     """One that makes several iterations sooner than one by one."""
 
     def steps(self, problem: Problem, state: State, count: int) -> State:
@@ -319,8 +319,8 @@ def solve(
     records: list[Progress] = []
     status = f"stopped after the {iterations} iterations asked for"
     done = 0
-    is_large = math.prod(problem.layer_shape[-2:]) >= _LARGE
-    stride = 1 if watched or is_large or not isinstance(solver, Striding) else _STRIDE
+    one_by_one = watched or math.prod(problem.layer_shape[-2:]) >= _LARGE
+    several = solver if isinstance(solver, MultiStep) and not one_by_one else None
     # Where nobody looks at what is between, an accelerator is waited for once, not at every step.
     with nullcontext() if watched else clock:
         with torch.no_grad(), clock:
@@ -329,13 +329,13 @@ def solve(
             if clock.seconds > time_limit:
                 status = f"stopped at the time limit of {time_limit:g} s"
                 break
-            count = min(stride, iterations - done)
+            count = 1 if several is None else min(_AT_ONCE, iterations - done)
             with torch.no_grad(), clock:
                 before = solver.layers(problem, state).clone() if tolerance > 0 else None
-                if isinstance(solver, Striding):
-                    state = solver.steps(problem, state, count)
-                else:
+                if several is None:
                     state = solver.step(problem, state)
+                else:
+                    state = several.steps(problem, state, count)
                 done += count
                 change = _change(before, problem, solver, state)
             if history:

@@ -152,10 +152,10 @@ def test_others_are_made_one_by_one(monkeypatch):
     ):
         with monkeypatch.context() as patch:
             patch.setattr(where, name, other)
-            patch.setattr(steps, "_make_steps", None)
+            patch.setattr(steps, "_do", None)
             found = direct.steps(problem, direct.init(problem, None), 3).shadow
         assert (found - expected).abs().max() < 5e-5
-    monkeypatch.setattr(steps, "_make_steps", None)
+    monkeypatch.setattr(steps, "_do", None)
     direct.steps(uneven, direct.init(uneven, None), 2)
     with plain():
         found = direct.steps(problem, direct.init(problem, None), 3).shadow
@@ -175,7 +175,7 @@ def test_matrices_of_another_size_are_refused():
 
 
 def test_memory_that_is_short_is_an_error(monkeypatch):
-    monkeypatch.setattr(steps, "_make_steps", lambda *_: True)
+    monkeypatch.setattr(steps._do, "flow", lambda *_: True)
     with pytest.raises(MemoryError, match="compiled loop"):
         in_one_call(posed("three layers"))
 

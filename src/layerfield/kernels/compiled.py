@@ -14,6 +14,7 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -96,6 +97,29 @@ class compiled:  # noqa: N801 - a decorator
             spans = math.ceil(count / length)
             in_threads(lambda n: self(*arguments, n * length, min(count, (n + 1) * length)), spans)
 
+    def in_order(
+        self, *arguments: Any, needs: np.ndarray, threads: int, address: int | None
+    ) -> None:
+        """Call the function for 0 .. len(needs) - 1, each when all before what it needs are done.
+
+        Whoever is free takes the next one. No barrier is between them, and the last of a pass do
+        not hold up the first of the next.
+
+        Args:
+            arguments: all but the last, which is the number of a task.
+            needs: whole numbers, none above that of its task.
+            threads: how many.
+            address: what `parallel_address` returns; nobody else is asked to help without one.
+
+        Raises:
+            MemoryError: there was none for what the function keeps to itself.
+        """
+        if address is None:
+            for number in range(len(needs)):
+                self(*arguments, number)
+        elif self.flow(arguments, needs, np.zeros(len(needs), np.int32), threads, address):
+            raise MemoryError("there is not enough memory for a compiled loop")
+
     @cached_property
     def dispatcher(self) -> Callable[..., Any]:
         """Numba's own."""
@@ -120,7 +144,7 @@ class compiled:  # noqa: N801 - a decorator
         """The function, with those of Numba in the place of others that it calls."""
         code, known = self._function.__code__, {**self._function.__globals__}
         for name in code.co_names:
-            if isinstance(each := known.get(name), compiled | spread | native):
+            if isinstance(each := known.get(name), compiled | native):
                 known[name] = each.dispatcher
         return FunctionType(code, known, self._function.__name__)
 
@@ -134,28 +158,15 @@ class compiled:  # noqa: N801 - a decorator
         made = region_of(self._function, self.dispatcher)
         return _kept(numba.njit, made, nogil=True, **_WHOLE)
 
+    @cached_property
+    def flow(self) -> Callable[..., int]:
+        """What calls it for tasks in order, on all threads; see `flow_of`."""
+        import numba  # noqa: PLC0415
 
-@dataclass(frozen=True)
-class spread:  # noqa: N801 - beside `compiled`
-    """What compiled functions call to have another called for spans, by all threads.
+        from layerfield.kernels.flows import flow_of  # noqa: PLC0415
 
-    It takes a tuple of the other's arguments but for the last two; the count of what is divided;
-    how many threads; and what `parallel_address` returns. It returns whether memory was short.
-
-    Args:
-        function: that is called; see `compiled.in_spans`.
-    """
-
-    function: compiled
-
-    def __call__(self, arguments: tuple[Any, ...], count: int, threads: int, address: int) -> Any:
-        """Return what is said above."""
-        return self.dispatcher(arguments, count, threads, address)
-
-    @property
-    def dispatcher(self) -> Callable[..., Any]:
-        """Numba's own."""
-        return self.function.region
+        made = flow_of(self._function, self.dispatcher)
+        return _kept(numba.njit, made, nogil=True, **_WHOLE)
 
 
 @dataclass(frozen=True)

@@ -40,13 +40,7 @@ def region_of(function: FunctionType, kernel: Any) -> FunctionType:
 
         return whole(arguments, whole, whole, whole, whole), generate
 
-    place = function.__code__
-    code = unwrap(_region).__code__.replace(
-        co_filename=place.co_filename, co_firstlineno=place.co_firstlineno
-    )
-    made = FunctionType(code, {"_call": call, "SPANS": SPANS}, f"{function.__name__}_region")
-    made.__qualname__, made.__module__ = made.__name__, function.__module__
-    return made
+    return named_as(function, _region, "region", {"_call": call, "SPANS": SPANS})
 
 
 def _region(arguments, count, threads, address):
@@ -63,54 +57,98 @@ def _call(arguments, count, length, threads, address):
 def _enter(context: Any, builder: Any, arguments: Any, values: Any, kernel: Any) -> Any:
     """Put what threads share in one place and have each of them call a worker with it."""
     known, count, length, threads, address = values
-    whole = count.type
-    held = ir.LiteralStructType([known.type, *[whole] * (len(_FIELDS) - 1)])
-    shared = cgutils.alloca_once(builder, held)
-    for which, value in enumerate((known, count, length, whole(0), whole(0))):
-        builder.store(value, _field(builder, shared, which))
-    work = _worker(context, builder.module, shared.type, arguments, kernel)
-    parallel = ir.FunctionType(_NOTHING, [work.type, _BYTES, _NUMBER, _NUMBER])
-    run = builder.inttoptr(address, parallel.as_pointer())
-    data = builder.bitcast(shared, _BYTES)
-    builder.call(run, [work, data, builder.trunc(threads, _NUMBER), _NUMBER(0)])
-    return builder.load(_field(builder, shared, _FAILED))
+    zero = count.type(0)
+    shared = cgutils.pack_struct(builder, [known, count, length, zero, zero])
+    place = cgutils.alloca_once_value(builder, shared)
+    work = _worker(context, builder.module, place.type, arguments, kernel)
+    call_threads(builder, work, place, threads, address)
+    return builder.load(field_of(builder, place, _FAILED))
 
 
 def _worker(context: Any, module: Any, pointer: Any, arguments: Any, kernel: Any) -> Any:
     """Return a function that takes spans as long as there are any."""
-    takes = (*arguments.types, types.intp, types.intp)
-    kernel.compile(takes)
-    made = kernel.overloads[takes]
-    context.active_code_library.add_linking_library(made.library)
-    kind = ir.FunctionType(_NOTHING, [_BYTES])
-    work = ir.Function(module, kind, module.get_unique_name("work"))
-    work.linkage = "internal"
-    begun, loop, span, done = (work.append_basic_block() for _ in range(4))
-
-    builder = ir.IRBuilder(begun)
-    shared = builder.bitcast(work.args[0], pointer)
+    made = linked(context, kernel, (*arguments.types, types.intp, types.intp))
+    work, builder, shared = worker_of(module, pointer)
+    loop, span, done = (work.append_basic_block() for _ in range(3))
     known, count, length = (
-        builder.load(_field(builder, shared, which)) for which in (_ARGUMENTS, _COUNT, _LENGTH)
+        builder.load(field_of(builder, shared, which)) for which in (_ARGUMENTS, _COUNT, _LENGTH)
     )
-    given = cgutils.unpack_tuple(builder, _borrowed(context, builder, arguments, known))
     builder.branch(loop)
 
     builder.position_at_end(loop)
-    begin = builder.atomic_rmw("add", _field(builder, shared, _NEXT), length, "monotonic")
+    begin = take(builder, field_of(builder, shared, _NEXT), length)
     builder.cbranch(builder.icmp_signed("<", begin, count), span, done)
 
     builder.position_at_end(span)
     after = builder.add(begin, length)
     end = builder.select(builder.icmp_signed("<", after, count), after, count)
-    given = [*given, begin, end]
-    status, _ = context.call_internal_no_propagate(builder, made.fndesc, made.signature, given)
+    status = call_kernel(context, builder, made, arguments, known, [begin, end])
     with builder.if_then(status.is_error):
-        builder.store(count.type(1), _field(builder, shared, _FAILED))
+        builder.store(count.type(1), field_of(builder, shared, _FAILED))
     builder.branch(loop)
 
     builder.position_at_end(done)
     builder.ret_void()
     return work
+
+
+def named_as(
+    function: FunctionType, template: FunctionType, kind: str, known: dict[str, Any]
+) -> FunctionType:
+    """Return a function that is kept on disk beside what is compiled of another.
+
+    Args:
+        function: the other.
+        template: whose code it has.
+        kind: of what it is, for its name.
+        known: what its code names.
+    """
+    place = function.__code__
+    code = unwrap(template).__code__.replace(
+        co_filename=place.co_filename, co_firstlineno=place.co_firstlineno
+    )
+    made = FunctionType(code, known, f"{function.__name__}_{kind}")
+    made.__qualname__, made.__module__ = made.__name__, function.__module__
+    return made
+
+
+def call_threads(builder: Any, work: Any, shared: Any, threads: Any, address: Any) -> None:
+    """Have a number of threads call a worker with what they share, and wait for them."""
+    parallel = ir.FunctionType(_NOTHING, [work.type, _BYTES, _NUMBER, _NUMBER])
+    run = builder.inttoptr(address, parallel.as_pointer())
+    data = builder.bitcast(shared, _BYTES)
+    builder.call(run, [work, data, builder.trunc(threads, _NUMBER), _NUMBER(0)])
+
+
+def worker_of(module: Any, pointer: Any) -> tuple[Any, Any, Any]:
+    """Return a function for `call_threads`, what builds it, and what is shared, in there."""
+    kind = ir.FunctionType(_NOTHING, [_BYTES])
+    work = ir.Function(module, kind, module.get_unique_name("work"))
+    work.linkage = "internal"
+    builder = ir.IRBuilder(work.append_basic_block())
+    return work, builder, builder.bitcast(work.args[0], pointer)
+
+
+def linked(context: Any, kernel: Any, takes: tuple[Any, ...]) -> Any:
+    """Return a kernel compiled for such arguments, as part of what is compiled now."""
+    kernel.compile(takes)
+    made = kernel.overloads[takes]
+    context.active_code_library.add_linking_library(made.library)
+    return made
+
+
+def take(builder: Any, counter: Any, number: Any) -> Any:
+    """Return a counter that threads share, which is larger by a number then."""
+    return builder.atomic_rmw("add", counter, number, "monotonic")
+
+
+def call_kernel(
+    context: Any, builder: Any, made: Any, arguments: Any, known: Any, last: list[Any]
+) -> Any:
+    """Call a kernel with a tuple of arguments and what comes last; return its status."""
+    given = [*cgutils.unpack_tuple(builder, _borrowed(context, builder, arguments, known)), *last]
+    status, _ = context.call_internal_no_propagate(builder, made.fndesc, made.signature, given)
+    return status
 
 
 def _borrowed(context: Any, builder: Any, kind: Any, value: Any) -> Any:
@@ -126,5 +164,6 @@ def _borrowed(context: Any, builder: Any, kind: Any, value: Any) -> Any:
     return value
 
 
-def _field(builder: Any, shared: Any, which: int) -> Any:
+def field_of(builder: Any, shared: Any, which: int) -> Any:
+    """Return where a field of what is shared lies."""
     return builder.gep(shared, [_NUMBER(0), _NUMBER(which)])

@@ -1,9 +1,12 @@
 """Steps of ADMM on whole planes, several in one call.
 
-Each is what `strips`, `planes` and `spectra` do one after the other; between them the interpreter
-would take a tenth of the time on planes that fit into the cache.
+Each is what `strips`, `planes` and `spectra` do one after the other. Between them the interpreter
+would take a tenth of the time on planes that fit into the cache, and threads another tenth that
+wait for the last of nine planes.
 """
 
+import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.kernels.blends import Sum, corners_of
-from layerfield.kernels.compiled import compiled, spread
+from layerfield.kernels.compiled import compiled
 from layerfield.kernels.planes import back, forth
 from layerfield.kernels.spectra import refuse_other_matrices, solve_rows
 from layerfield.kernels.strips import (
@@ -24,18 +27,12 @@ from layerfield.kernels.strips import (
     room_for_strips,
 )
 from layerfield.kernels.systems import Steps, System, shares_of_rest, shares_of_right, terms_of
-from layerfield.kernels.threads import FEW, parallel_address
+from layerfield.kernels.threads import FEW, SPANS, parallel_address
 from layerfield.kernels.three_passes import LARGE
 from layerfield.kernels.transforms import Call, call_of, forth_and_back
 
+_STRIPS, _FORTH, _SOLVE, _BACK = range(4)  # what there is to do
 _AT_ONCE = 3  # planes that a step reads or writes: s, s of one step ago, and what it makes
-
-
-class _Team(NamedTuple):
-    """How many threads, and where what calls them is."""
-
-    threads: int
-    address: int
 
 
 class _Known(NamedTuple):
@@ -114,45 +111,90 @@ def steps_in_one_call(
     )
     threads = torch.get_num_threads() if shadow.numel() >= FEW else 1
     room = room_for_strips(own[0].shape, sides)
-    if _make_steps(own, *given, *room, rows, known, _Team(threads, address)):
-        raise MemoryError("there is not enough memory for a compiled loop")
+    shape, parts = own[0].shape[:3], SPANS * threads
+    tasks, needs = _tasks(shape, height // 2 + 1, count, parts)
+    steps = own, *given, *room, rows, known, tasks
+    _do.in_order(*steps, needs=needs, threads=threads, address=address)
     last = made[(count - 2) % len(made)] if count > 1 else shadow
     return made[(count - 1) % len(made)], last
 
 
-_cut = spread(cut_columns)
-_fill = spread(fill_strips)
-_forth = spread(forth)
-_solve = spread(solve_rows)
-_back = spread(back)
+@lru_cache(maxsize=16)
+def _tasks(
+    shape: tuple[int, int, int], rows: int, count: int, parts: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return tasks, `[n, (what, step, from, to)]`, and what each of them needs.
+
+    Colours know nothing of each other, but for the matrices of every frequency, which are found
+    once for all. So strips of one are found while planes of others are still transformed back.
+
+    Args:
+        shape: items, layers, and channels.
+        rows: to be solved.
+        count: of steps.
+        parts: of those rows.
+    """
+    items, number, channels = shape
+    groups, length = items * channels, math.ceil(rows / parts)
+    tasks, needs, shown = list[tuple[int, int, int, int]](), list[int](), [0] * groups
+    for step in range(count):
+        filled = list[int]()
+        for group in range(groups + 1):
+            if group < groups:
+                tasks.append((_STRIPS, step, group, group + 1))
+                needs.append(shown[group])
+                filled.append(len(tasks))
+            if group > 0:  # one behind, so that nobody waits for the strips that were just begun
+                for plane in _planes(group - 1, number, channels):
+                    tasks.append((_FORTH, step, plane, plane + 1))
+                    needs.append(filled[group - 1])
+        here = len(tasks)
+        for begin in range(0, rows, length):
+            tasks.append((_SOLVE, step, begin, min(begin + length, rows)))
+            needs.append(here)
+        here = len(tasks)
+        for group in range(groups):
+            for plane in _planes(group, number, channels):
+                tasks.append((_BACK, step, plane, plane + 1))
+                needs.append(here)
+            shown[group] = len(tasks)
+    return np.array(tasks, np.int64), np.array(needs, np.int64)
+
+
+def _planes(group: int, number: int, channels: int) -> range:
+    """Return those of one colour of one item: `[item, layer, channel]`, one after the other."""
+    item, channel = divmod(group, channels)
+    first = item * number * channels + channel
+    return range(first, first + number * channels, channels)
 
 
 @compiled
-def _make_steps(own, shadow, before, below, beside, columns, constants, known, team):
-    """Fill own planes in turns; return whether memory was short."""
-    threads, address = team.threads, team.address
-    items, number, channels, height, width = shadow.shape
-    planes, system, failed = items * number * channels, known.system, 0
-    flat, low, high = (planes, height, width), system.low, system.high
-    down, across, weight = known.sides
-    for n in range(len(constants)):
-        made, row = own[n % len(own)], constants[n]
-        seen, work = shadow.reshape(flat), made.reshape(flat)
-        cut = (columns, shadow, across.start, low, high)
-        failed += _cut(cut, planes, threads, address)
-        filled = (below, beside, shadow, columns, down, across, low, high)
-        failed += _fill(filled, planes, threads, address)
+def _do(own, shadow, before, below, beside, columns, constants, known, tasks, task):
+    """One of `tasks`, on own planes in turns."""
+    what, step, begin, end = tasks[task, 0], tasks[task, 1], tasks[task, 2], tasks[task, 3]
+    number, channels, height, width = shadow.shape[1:]
+    system, row, (down, across, weight) = known.system, constants[step], known.sides
+    flat, low, high = (len(below), height, width), system.low, system.high
+    made = own[step % len(own)]
+    seen = own[(step - 1) % len(own)] if step > 0 else shadow
+    ago = own[(step - 2) % len(own)] if step > 1 else (shadow if step > 0 else before)
+    planes, layers = made.reshape(flat), seen.reshape(flat)
+    if what == _STRIPS:
+        item, channel = divmod(begin, channels)
+        first = item * number * channels + channel
+        for plane in range(first, first + number * channels, channels):
+            cut_columns(columns, seen, across.start, low, high, plane, plane + 1)
+        for plane in range(first, first + number * channels, channels):
+            fill_strips(below, beside, seen, columns, down, across, low, high, plane, plane + 1)
+    elif what == _FORTH:
         shares = shares_of_right(row, system.weight)
         strips = Strips(below, beside, down.start, across.start, weight * shares.other)
-        right = Sum(seen, known.data, strips, shares, low, high)
-        failed += _forth((work, right, known.forth), planes, threads, address)
+        forth(planes, Sum(layers, known.data, strips, shares, low, high), known.forth, begin, end)
+    elif what == _SOLVE:
         terms = terms_of(row, system, height * (width // 2))
-        pairs = (made, system.symbol, system.turns, terms, known.other, known.window, system.by_row)
-        failed += _solve(pairs, height // 2 + 1, threads, address)
-        other = known.none if row[4] == 0 else before.reshape(flat)
-        rest = Sum(seen, other, known.strips, shares_of_rest(row), low, high)
-        failed += _back((work, rest, known.back), planes, threads, address)
-        shadow, before = made, shadow
-        if failed:
-            break
-    return failed > 0
+        symbol, turns, by_row = system.symbol, system.turns, system.by_row
+        solve_rows(made, symbol, turns, terms, known.other, known.window, by_row, begin, end)
+    else:
+        other = known.none if row[4] == 0 else ago.reshape(flat)
+        rest = Sum(layers, other, known.strips, shares_of_rest(row), low, high)
+        back(planes, rest, known.back, begin, end)

@@ -162,21 +162,23 @@ def _ask_for_too_much(visits, begin, end):
 
 
 @compiled.compiled
-def _count_before(made, seen, needs, number):
-    """Tasks that come first take longest, so that others would pass them by."""
-    for place in range(needs[number]):
-        seen[number] += made[place]
-    value = 1.0
-    for _ in range(20000 if number % 7 == 0 else 1):
-        value = np.sqrt(value + 1)
-    made[number] = 1 if value > 0 else 0
+def _count_before(made, seen, needs, begin, end):
+    """Those that come first take longest, so that others would pass them by."""
+    for number in range(begin, end):
+        for place in range(needs[number]):
+            seen[number] += made[place]
+        value = 1.0
+        for _ in range(20000 if number % 7 == 0 else 1):
+            value = np.sqrt(value + 1)
+        made[number] = 1 if value > 0 else 0
 
 
 @compiled.compiled
-def _fail_in_the_middle(made, number):
-    made[number] = 1
-    if number == 20:
-        made[number] = np.zeros(1 << 56)[0]
+def _fail_in_the_middle(made, begin, end):
+    for number in range(begin, end):
+        made[number] = 1
+        if number == 20:
+            made[number] = np.zeros(1 << 56)[0]
 
 
 @pytest.fixture(params=["PyTorch's", "our own", "one"])
@@ -203,30 +205,24 @@ def test_loops_that_get_no_memory_say_so():
         _ask_for_too_much.in_spans(np.zeros(9), count=9, numbers=1 << 30)
 
 
+@pytest.mark.usefixtures("some_threads")
 @pytest.mark.parametrize("count", [0, 1, 300])
-@pytest.mark.parametrize("callers", ["PyTorch's", "nobody's"])
-def test_tasks_in_order_begin_when_what_they_need_is_done(count, callers):
-    address = threads.parallel_address() if callers == "PyTorch's" else None
-    needs = np.maximum(np.arange(count) - np.arange(count) % 5, 0)
-    for several in (1, 3):
-        made, seen = np.zeros(count, np.int64), np.zeros(count, np.int64)
-        given = {"needs": needs, "threads": several, "address": address}
-        _count_before.in_order(made, seen, needs, **given)
-        assert (made == 1).all()
-        assert (seen == needs).all()
+@pytest.mark.parametrize("numbers", [0, 1 << 30])
+def test_spans_begin_when_what_they_need_is_done(count, numbers):
+    needs = np.arange(count) - np.arange(count) % 5
+    made, seen = np.zeros(count, np.int64), np.zeros(count, np.int64)
+    _count_before.in_spans(made, seen, needs, count=count, numbers=numbers, needs=needs)
+    assert (made == 1).all()
+    assert (seen == needs).all()
 
 
-@pytest.mark.parametrize("callers", ["PyTorch's", "nobody's"])
-def test_tasks_behind_one_that_failed_are_left_out(callers):
-    """Nobody waits for ever for what will not be done."""
-    address = threads.parallel_address() if callers == "PyTorch's" else None
-    for several in (1, 3):
-        made = np.zeros(90, np.int64)
-        needs = np.maximum(np.arange(90) - 2, 0)
-        with pytest.raises(MemoryError):
-            _fail_in_the_middle.in_order(made, needs=needs, threads=several, address=address)
-        assert made[:20].all()
-        assert not made[25:].any()
+@pytest.mark.usefixtures("some_threads")
+def test_nobody_waits_for_ever_for_what_failed():
+    made, needs = np.zeros(90, np.int64), np.maximum(np.arange(90) - 2, 0)
+    with pytest.raises(MemoryError):
+        _fail_in_the_middle.in_spans(made, count=90, numbers=1 << 30, needs=needs)
+    assert made[:20].all()
+    assert not made[25:].any()
 
 
 def test_every_task_is_done_once():

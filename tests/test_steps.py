@@ -15,7 +15,7 @@ from displays import SHOWN
 from layerfield import Display, solvers
 from layerfield.display_spec import parse_spec
 from layerfield.fast import shipped_steps, warm_steps
-from layerfield.kernels import steps, transforms
+from layerfield.kernels import compiled, steps, transforms
 from layerfield.kernels.compiled import plain
 from layerfield.kernels.small_steps import steps_at_once
 from layerfield.kernels.steps import steps_in_one_call
@@ -51,7 +51,7 @@ def one_by_one(solver, problem: Problem, state, count: int):
 @pytest.mark.parametrize("kind", ["three layers", "six layers", "one row"])
 @pytest.mark.parametrize(("count", "threads"), [(1, 3), (2, 1), (4, 3), (9, 3)])
 def test_several_steps_are_those_one_by_one(monkeypatch, solver, kind, count, threads):
-    monkeypatch.setattr(steps, "FEW", 0)
+    monkeypatch.setattr(compiled, "FEW", 0)
     torch.set_num_threads(threads)
     made, problem = SOLVERS[solver], posed(kind, (2,))
     assert isinstance(made, MultiStep)
@@ -152,10 +152,10 @@ def test_others_are_made_one_by_one(monkeypatch):
     ):
         with monkeypatch.context() as patch:
             patch.setattr(where, name, other)
-            patch.setattr(steps, "_do", None)
+            patch.setattr(steps, "_make_steps", None)
             found = direct.steps(problem, direct.init(problem, None), 3).shadow
         assert (found - expected).abs().max() < 5e-5
-    monkeypatch.setattr(steps, "_do", None)
+    monkeypatch.setattr(steps, "_make_steps", None)
     direct.steps(uneven, direct.init(uneven, None), 2)
     with plain():
         found = direct.steps(problem, direct.init(problem, None), 3).shadow
@@ -175,7 +175,7 @@ def test_matrices_of_another_size_are_refused():
 
 
 def test_memory_that_is_short_is_an_error(monkeypatch):
-    monkeypatch.setattr(steps._do, "flow", lambda *_: True)
+    monkeypatch.setattr(steps._make_steps, "region", lambda *_: True)
     with pytest.raises(MemoryError, match="compiled loop"):
         in_one_call(posed("three layers"))
 

@@ -28,6 +28,7 @@ _LOOPS = {"nogil": True, "inline": "always", "fastmath": _FREE, "error_model": "
 # alike. Which of one name a process takes would depend on which it has read first.
 _WHOLE = {"forceinline": True}
 _SINGLE = (torch.float32, torch.complex64)
+_NO_NEEDS = np.zeros(0, np.int64)
 # Numba's own switch leaves loops to the interpreter, which would take minutes: PyTorch does not.
 _PLAIN = ContextVar("plain", default=os.environ.get("NUMBA_DISABLE_JIT", "0") not in {"", "0"})
 
@@ -70,7 +71,9 @@ class compiled:  # noqa: N801 - a decorator
         """Return what the function does."""
         return self.dispatcher(*arguments)
 
-    def in_spans(self, *arguments: Any, count: int, numbers: int) -> None:
+    def in_spans(
+        self, *arguments: Any, count: int, numbers: int, needs: np.ndarray | None = None
+    ) -> None:
         """Call the function for spans that come to 0 .. count, a few for every thread.
 
         Whoever is free takes the next one, so that a thread whose core others use holds nobody up.
@@ -82,43 +85,25 @@ class compiled:  # noqa: N801 - a decorator
             count: of what is divided.
             numbers: that are gone over in all. Where they are few, threads cost more than they
                 bring.
+            needs: for each of the count how many, from the first on, have to be done before it; no
+                more than there are. Spans are of one then: passes that need each other are one
+                call, and the last of one does not hold up the first of the next.
 
         Raises:
             MemoryError: there was none for what the function keeps to itself.
         """
         threads = torch.get_num_threads() if numbers >= FEW and count > 1 else 1
         if (address := parallel_address()) is not None:
-            if self.region(arguments, count, threads, address):
+            listed = _NO_NEEDS if needs is None else needs
+            done = np.zeros(len(listed), np.int32)
+            if self.region(arguments, count, listed, done, threads, address):
                 raise MemoryError("there is not enough memory for a compiled loop")
-        elif threads == 1:
+        elif threads == 1 or needs is not None:
             self(*arguments, 0, count)
         else:
             length = math.ceil(count / (SPANS * threads))
             spans = math.ceil(count / length)
             in_threads(lambda n: self(*arguments, n * length, min(count, (n + 1) * length)), spans)
-
-    def in_order(
-        self, *arguments: Any, needs: np.ndarray, threads: int, address: int | None
-    ) -> None:
-        """Call the function for 0 .. len(needs) - 1, each when all before what it needs are done.
-
-        Whoever is free takes the next one. No barrier is between them, and the last of a pass do
-        not hold up the first of the next.
-
-        Args:
-            arguments: all but the last, which is the number of a task.
-            needs: whole numbers, none above that of its task.
-            threads: how many.
-            address: what `parallel_address` returns; nobody else is asked to help without one.
-
-        Raises:
-            MemoryError: there was none for what the function keeps to itself.
-        """
-        if address is None:
-            for number in range(len(needs)):
-                self(*arguments, number)
-        elif self.flow(arguments, needs, np.zeros(len(needs), np.int32), threads, address):
-            raise MemoryError("there is not enough memory for a compiled loop")
 
     @cached_property
     def dispatcher(self) -> Callable[..., Any]:
@@ -156,16 +141,6 @@ class compiled:  # noqa: N801 - a decorator
         from layerfield.kernels.regions import region_of  # noqa: PLC0415
 
         made = region_of(self._function, self.dispatcher)
-        return _kept(numba.njit, made, nogil=True, **_WHOLE)
-
-    @cached_property
-    def flow(self) -> Callable[..., int]:
-        """What calls it for tasks in order, on all threads; see `flow_of`."""
-        import numba  # noqa: PLC0415
-
-        from layerfield.kernels.flows import flow_of  # noqa: PLC0415
-
-        made = flow_of(self._function, self.dispatcher)
         return _kept(numba.njit, made, nogil=True, **_WHOLE)
 
 

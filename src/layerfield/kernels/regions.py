@@ -1,7 +1,9 @@
 """Compiled functions over spans, on the threads that PyTorch computes with.
 
 The loop that hands out spans is compiled, too: threads that had to take turns at the interpreter
-would wait longer for it than a pass over a picture takes. Numba is imported here; see `compiled`.
+would wait longer for it than a pass over a picture takes. Where spans need others, whoever takes
+one waits until those are done, and not for all others at the end of every pass. Numba is imported
+here; see `compiled`.
 """
 
 from inspect import unwrap
@@ -15,7 +17,8 @@ from numba.extending import intrinsic
 
 from layerfield.kernels.threads import SPANS
 
-_FIELDS = _ARGUMENTS, _COUNT, _LENGTH, _NEXT, _FAILED = range(5)  # what all threads share
+# What all threads share.
+_FIELDS = _ARGUMENTS, _COUNT, _LENGTH, _WAITS, _NEEDS, _DONE, _NEXT, _FAILED = range(8)
 _BYTES, _NUMBER, _NOTHING = ir.IntType(8).as_pointer(), ir.IntType(32), ir.VoidType()
 
 
@@ -23,8 +26,12 @@ def region_of(function: FunctionType, kernel: Any) -> FunctionType:
     """Return what calls a kernel for spans of 0 .. count, whoever is free for the next one.
 
     It is to be compiled. It takes a tuple of the kernel's arguments but for the last two, which are
-    the begin and the end of a span; the count; how many threads; and the address of
-    `GOMP_parallel`. It returns whether the kernel failed anywhere.
+    the begin and the end of a span; the count; `needs` and `done`; how many threads; and the
+    address of `GOMP_parallel`. It returns whether the kernel failed anywhere; what was not begun
+    by then is left out.
+
+    `needs` is empty, or says for each of the count how many, from the first on, are to be done
+    before it, and spans are of one. `done` has as many zeros of 32 bits.
 
     Args:
         function: in Python; what is compiled is kept on disk beside what is compiled of it.
@@ -32,59 +39,95 @@ def region_of(function: FunctionType, kernel: Any) -> FunctionType:
     """
 
     @intrinsic
-    def call(_: Any, arguments: Any, count: Any, length: Any, threads: Any, address: Any) -> Any:
+    def call(
+        _: Any, known: Any, count: Any, length: Any, needs: Any, done: Any, team: Any, address: Any
+    ) -> Any:
         whole = types.intp
 
         def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-            return _enter(context, builder, signature.args[0], values, kernel)
+            return _enter(context, builder, signature.args, values, kernel)
 
-        return whole(arguments, whole, whole, whole, whole), generate
+        return whole(known, whole, whole, needs, done, whole, whole), generate
 
-    return named_as(function, _region, "region", {"_call": call, "SPANS": SPANS})
+    place = function.__code__
+    code = unwrap(_region).__code__.replace(
+        co_filename=place.co_filename, co_firstlineno=place.co_firstlineno
+    )
+    made = FunctionType(code, {"_call": call, "SPANS": SPANS}, f"{function.__name__}_region")
+    made.__qualname__, made.__module__ = made.__name__, function.__module__
+    return made
 
 
-def _region(arguments, count, threads, address):
+def _region(arguments, count, needs, done, threads, address):
     spans = SPANS * threads if threads > 1 else 1
-    length = max(1, (count + spans - 1) // spans)
-    return _call(arguments, count, length, threads, address)
+    length = 1 if len(needs) > 0 else max(1, (count + spans - 1) // spans)
+    return _call(arguments, count, length, needs, done, threads, address)
 
 
-def _call(arguments, count, length, threads, address):
+def _call(arguments, count, length, needs, done, threads, address):
     """Stands for what `region_of` puts in its place."""
     raise NotImplementedError
 
 
-def _enter(context: Any, builder: Any, arguments: Any, values: Any, kernel: Any) -> Any:
+def _enter(context: Any, builder: Any, kinds: Any, values: Any, kernel: Any) -> Any:
     """Put what threads share in one place and have each of them call a worker with it."""
-    known, count, length, threads, address = values
+    known, count, length, needs, done, threads, address = values
+    listed, flags = (
+        context.make_array(kind)(context, builder, value)
+        for kind, value in zip(kinds[3:5], (needs, done), strict=True)
+    )
     zero = count.type(0)
-    shared = cgutils.pack_struct(builder, [known, count, length, zero, zero])
-    place = cgutils.alloca_once_value(builder, shared)
-    work = _worker(context, builder.module, place.type, arguments, kernel)
-    call_threads(builder, work, place, threads, address)
-    return builder.load(field_of(builder, place, _FAILED))
+    fields = known, count, length, listed.nitems, listed.data, flags.data, zero, zero
+    shared = cgutils.alloca_once_value(builder, cgutils.pack_struct(builder, fields))
+    work = _worker(context, builder.module, shared.type, kinds[0], kernel)
+    parallel = ir.FunctionType(_NOTHING, [work.type, _BYTES, _NUMBER, _NUMBER])
+    run = builder.inttoptr(address, parallel.as_pointer())
+    data = builder.bitcast(shared, _BYTES)
+    builder.call(run, [work, data, builder.trunc(threads, _NUMBER), _NUMBER(0)])
+    return builder.load(_field(builder, shared, _FAILED))
 
 
 def _worker(context: Any, module: Any, pointer: Any, arguments: Any, kernel: Any) -> Any:
     """Return a function that takes spans as long as there are any."""
-    made = linked(context, kernel, (*arguments.types, types.intp, types.intp))
-    work, builder, shared = worker_of(module, pointer)
-    loop, span, done = (work.append_basic_block() for _ in range(3))
-    known, count, length = (
-        builder.load(field_of(builder, shared, which)) for which in (_ARGUMENTS, _COUNT, _LENGTH)
+    takes = (*arguments.types, types.intp, types.intp)
+    kernel.compile(takes)
+    made = kernel.overloads[takes]
+    context.active_code_library.add_linking_library(made.library)
+    kind = ir.FunctionType(_NOTHING, [_BYTES])
+    work = ir.Function(module, kind, module.get_unique_name("work"))
+    work.linkage = "internal"
+    begun, loop, span, done = (work.append_basic_block() for _ in range(4))
+
+    builder = ir.IRBuilder(begun)
+    shared = builder.bitcast(work.args[0], pointer)
+    known, count, length, waits, needs, flags = (
+        builder.load(_field(builder, shared, which)) for which in _FIELDS[:6]
     )
+    zero, one = count.type(0), count.type(1)
+    waits = builder.icmp_signed("!=", waits, zero)
+    given = cgutils.unpack_tuple(builder, _borrowed(context, builder, arguments, known))
+    failed = _field(builder, shared, _FAILED)
+    seen = cgutils.alloca_once_value(builder, zero)  # so many, from the first on, are done
     builder.branch(loop)
 
     builder.position_at_end(loop)
-    begin = take(builder, field_of(builder, shared, _NEXT), length)
+    begin = builder.atomic_rmw("add", _field(builder, shared, _NEXT), length, "monotonic")
     builder.cbranch(builder.icmp_signed("<", begin, count), span, done)
 
     builder.position_at_end(span)
-    after = builder.add(begin, length)
-    end = builder.select(builder.icmp_signed("<", after, count), after, count)
-    status = call_kernel(context, builder, made, arguments, known, [begin, end])
-    with builder.if_then(status.is_error):
-        builder.store(count.type(1), field_of(builder, shared, _FAILED))
+    with builder.if_then(waits):
+        _wait(builder, builder.load(builder.gep(needs, [begin])), seen, flags)
+    has_failed = builder.load_atomic(failed, "monotonic", align=8)
+    with builder.if_then(builder.icmp_signed("==", has_failed, zero)):
+        after = builder.add(begin, length)
+        end = builder.select(builder.icmp_signed("<", after, count), after, count)
+        status, _ = context.call_internal_no_propagate(
+            builder, made.fndesc, made.signature, [*given, begin, end]
+        )
+        with builder.if_then(status.is_error):
+            builder.store_atomic(one, failed, "monotonic", align=8)
+    with builder.if_then(waits):  # done or failed: nobody is to wait for ever
+        builder.store_atomic(_NUMBER(1), builder.gep(flags, [begin]), "release", align=4)
     builder.branch(loop)
 
     builder.position_at_end(done)
@@ -92,63 +135,28 @@ def _worker(context: Any, module: Any, pointer: Any, arguments: Any, kernel: Any
     return work
 
 
-def named_as(
-    function: FunctionType, template: FunctionType, kind: str, known: dict[str, Any]
-) -> FunctionType:
-    """Return a function that is kept on disk beside what is compiled of another.
+def _wait(builder: Any, needed: Any, seen: Any, flags: Any) -> None:
+    """Wait until so many are done, from the first on."""
+    look, turn, step, over = (builder.append_basic_block() for _ in range(4))
+    builder.branch(look)
 
-    Args:
-        function: the other.
-        template: whose code it has.
-        kind: of what it is, for its name.
-        known: what its code names.
-    """
-    place = function.__code__
-    code = unwrap(template).__code__.replace(
-        co_filename=place.co_filename, co_firstlineno=place.co_firstlineno
-    )
-    made = FunctionType(code, known, f"{function.__name__}_{kind}")
-    made.__qualname__, made.__module__ = made.__name__, function.__module__
-    return made
+    builder.position_at_end(look)
+    first = builder.load(seen)
+    with builder.if_then(builder.icmp_signed(">=", first, needed)):
+        builder.branch(over)
+    flag = builder.load_atomic(builder.gep(flags, [first]), "acquire", align=4)
+    builder.cbranch(builder.icmp_signed("!=", flag, _NUMBER(0)), step, turn)
 
+    builder.position_at_end(turn)  # who makes what is waited for may need this core
+    yields = ir.FunctionType(_NUMBER, [])
+    builder.call(cgutils.get_or_insert_function(builder.module, yields, "sched_yield"), [])
+    builder.branch(look)
 
-def call_threads(builder: Any, work: Any, shared: Any, threads: Any, address: Any) -> None:
-    """Have a number of threads call a worker with what they share, and wait for them."""
-    parallel = ir.FunctionType(_NOTHING, [work.type, _BYTES, _NUMBER, _NUMBER])
-    run = builder.inttoptr(address, parallel.as_pointer())
-    data = builder.bitcast(shared, _BYTES)
-    builder.call(run, [work, data, builder.trunc(threads, _NUMBER), _NUMBER(0)])
+    builder.position_at_end(step)
+    builder.store(builder.add(first, first.type(1)), seen)
+    builder.branch(look)
 
-
-def worker_of(module: Any, pointer: Any) -> tuple[Any, Any, Any]:
-    """Return a function for `call_threads`, what builds it, and what is shared, in there."""
-    kind = ir.FunctionType(_NOTHING, [_BYTES])
-    work = ir.Function(module, kind, module.get_unique_name("work"))
-    work.linkage = "internal"
-    builder = ir.IRBuilder(work.append_basic_block())
-    return work, builder, builder.bitcast(work.args[0], pointer)
-
-
-def linked(context: Any, kernel: Any, takes: tuple[Any, ...]) -> Any:
-    """Return a kernel compiled for such arguments, as part of what is compiled now."""
-    kernel.compile(takes)
-    made = kernel.overloads[takes]
-    context.active_code_library.add_linking_library(made.library)
-    return made
-
-
-def take(builder: Any, counter: Any, number: Any) -> Any:
-    """Return a counter that threads share, which is larger by a number then."""
-    return builder.atomic_rmw("add", counter, number, "monotonic")
-
-
-def call_kernel(
-    context: Any, builder: Any, made: Any, arguments: Any, known: Any, last: list[Any]
-) -> Any:
-    """Call a kernel with a tuple of arguments and what comes last; return its status."""
-    given = [*cgutils.unpack_tuple(builder, _borrowed(context, builder, arguments, known)), *last]
-    status, _ = context.call_internal_no_propagate(builder, made.fndesc, made.signature, given)
-    return status
+    builder.position_at_end(over)
 
 
 def _borrowed(context: Any, builder: Any, kind: Any, value: Any) -> Any:
@@ -164,6 +172,5 @@ def _borrowed(context: Any, builder: Any, kind: Any, value: Any) -> Any:
     return value
 
 
-def field_of(builder: Any, shared: Any, which: int) -> Any:
-    """Return where a field of what is shared lies."""
+def _field(builder: Any, shared: Any, which: int) -> Any:
     return builder.gep(shared, [_NUMBER(0), _NUMBER(which)])

@@ -27,7 +27,7 @@ from layerfield.kernels.strips import (
     room_for_strips,
 )
 from layerfield.kernels.systems import Steps, System, shares_of_rest, shares_of_right, terms_of
-from layerfield.kernels.threads import FEW, SPANS, parallel_address
+from layerfield.kernels.threads import SPANS, parallel_address
 from layerfield.kernels.three_passes import LARGE
 from layerfield.kernels.transforms import Call, call_of, forth_and_back
 
@@ -86,7 +86,7 @@ def steps_in_one_call(
     number, channels, height, width = shadow.shape[-4:]
     pairs, count = (*shadow.shape[:-1], width // 2), len(constants)
     refuse_other_matrices(system.symbol.shape, number, pairs, by_row=False)
-    if (address := parallel_address()) is None or height * width >= LARGE:
+    if parallel_address() is None or height * width >= LARGE:
         return None
     if (transforms := forth_and_back(pairs, by_row=False, times=count)) is None:
         return None
@@ -109,12 +109,10 @@ def steps_in_one_call(
         window=np.zeros((0, 0), np.float32),
         strips=NO_STRIPS,
     )
-    threads = torch.get_num_threads() if shadow.numel() >= FEW else 1
-    room = room_for_strips(own[0].shape, sides)
-    shape, parts = own[0].shape[:3], SPANS * threads
-    tasks, needs = _tasks(shape, height // 2 + 1, count, parts)
-    steps = own, *given, *room, rows, known, tasks
-    _do.in_order(*steps, needs=needs, threads=threads, address=address)
+    room, shape = room_for_strips(own[0].shape, sides), own[0].shape[:3]
+    tasks, needs = _tasks(shape, height // 2 + 1, count, SPANS * torch.get_num_threads())
+    steps = own, *given, room, rows, known, tasks
+    _make_steps.in_spans(*steps, count=len(tasks), numbers=shadow.numel(), needs=needs)
     last = made[(count - 2) % len(made)] if count > 1 else shadow
     return made[(count - 1) % len(made)], last
 
@@ -123,7 +121,7 @@ def steps_in_one_call(
 def _tasks(
     shape: tuple[int, int, int], rows: int, count: int, parts: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return tasks, `[n, (what, step, from, to)]`, and what each of them needs.
+    """Return tasks, `[n, (what, step, from, to)]`, and how many each of them needs done before it.
 
     Colours know nothing of each other, but for the matrices of every frequency, which are found
     once for all. So strips of one are found while planes of others are still transformed back.
@@ -135,66 +133,65 @@ def _tasks(
         parts: of those rows.
     """
     items, number, channels = shape
-    groups, length = items * channels, math.ceil(rows / parts)
-    tasks, needs, shown = list[tuple[int, int, int, int]](), list[int](), [0] * groups
+    places = np.arange(items * number * channels).reshape(shape)
+    colours = places.transpose(0, 2, 1).reshape(-1, number).tolist()  # planes of each
+    length = math.ceil(rows / parts)
+    tasks, needs = list[tuple[int, int, int, int]](), list[int]()
+
+    def add(what: int, step: int, begin: int, end: int, need: int) -> int:
+        tasks.append((what, step, begin, end))
+        needs.append(need)
+        return len(tasks)
+
+    shown = [0] * len(colours)
     for step in range(count):
         filled = list[int]()
-        for group in range(groups + 1):
-            if group < groups:
-                tasks.append((_STRIPS, step, group, group + 1))
-                needs.append(shown[group])
-                filled.append(len(tasks))
-            if group > 0:  # one behind, so that nobody waits for the strips that were just begun
-                for plane in _planes(group - 1, number, channels):
-                    tasks.append((_FORTH, step, plane, plane + 1))
-                    needs.append(filled[group - 1])
-        here = len(tasks)
+        for colour in range(len(colours) + 1):
+            if colour < len(colours):
+                first, last = colours[colour][0], colours[colour][-1]
+                filled.append(add(_STRIPS, step, first, last + 1, shown[colour]))
+            if colour > 0:  # one behind, so that nobody waits for strips that were just begun
+                for plane in colours[colour - 1]:
+                    add(_FORTH, step, plane, plane + 1, filled[colour - 1])
+        transformed = len(tasks)
         for begin in range(0, rows, length):
-            tasks.append((_SOLVE, step, begin, min(begin + length, rows)))
-            needs.append(here)
-        here = len(tasks)
-        for group in range(groups):
-            for plane in _planes(group, number, channels):
-                tasks.append((_BACK, step, plane, plane + 1))
-                needs.append(here)
-            shown[group] = len(tasks)
+            add(_SOLVE, step, begin, min(begin + length, rows), transformed)
+        solved = len(tasks)
+        for colour, planes in enumerate(colours):
+            for plane in planes:
+                shown[colour] = add(_BACK, step, plane, plane + 1, solved)
     return np.array(tasks, np.int64), np.array(needs, np.int64)
 
 
-def _planes(group: int, number: int, channels: int) -> range:
-    """Return those of one colour of one item: `[item, layer, channel]`, one after the other."""
-    item, channel = divmod(group, channels)
-    first = item * number * channels + channel
-    return range(first, first + number * channels, channels)
-
-
 @compiled
-def _do(own, shadow, before, below, beside, columns, constants, known, tasks, task):
-    """One of `tasks`, on own planes in turns."""
-    what, step, begin, end = tasks[task, 0], tasks[task, 1], tasks[task, 2], tasks[task, 3]
-    number, channels, height, width = shadow.shape[1:]
-    system, row, (down, across, weight) = known.system, constants[step], known.sides
-    flat, low, high = (len(below), height, width), system.low, system.high
-    made = own[step % len(own)]
-    seen = own[(step - 1) % len(own)] if step > 0 else shadow
-    ago = own[(step - 2) % len(own)] if step > 1 else (shadow if step > 0 else before)
-    planes, layers = made.reshape(flat), seen.reshape(flat)
-    if what == _STRIPS:
-        item, channel = divmod(begin, channels)
-        first = item * number * channels + channel
-        for plane in range(first, first + number * channels, channels):
-            cut_columns(columns, seen, across.start, low, high, plane, plane + 1)
-        for plane in range(first, first + number * channels, channels):
-            fill_strips(below, beside, seen, columns, down, across, low, high, plane, plane + 1)
-    elif what == _FORTH:
-        shares = shares_of_right(row, system.weight)
-        strips = Strips(below, beside, down.start, across.start, weight * shares.other)
-        forth(planes, Sum(layers, known.data, strips, shares, low, high), known.forth, begin, end)
-    elif what == _SOLVE:
-        terms = terms_of(row, system, height * (width // 2))
-        symbol, turns, by_row = system.symbol, system.turns, system.by_row
-        solve_rows(made, symbol, turns, terms, known.other, known.window, by_row, begin, end)
-    else:
-        other = known.none if row[4] == 0 else ago.reshape(flat)
-        rest = Sum(layers, other, known.strips, shares_of_rest(row), low, high)
-        back(planes, rest, known.back, begin, end)
+def _make_steps(own, shadow, before, room, constants, known, tasks, begin, end):
+    """Do tasks from and to, on own planes in turns."""
+    below, beside, columns = room
+    for task in range(begin, end):
+        what, step, first, last = tasks[task, 0], tasks[task, 1], tasks[task, 2], tasks[task, 3]
+        made = own[step % len(own)]
+        seen = own[(step - 1) % len(own)] if step > 0 else shadow
+        ago = own[(step - 2) % len(own)] if step > 1 else (shadow if step > 0 else before)
+        system, row, (down, across, weight) = known.system, constants[step], known.sides
+        (channels, height, width), low, high = shadow.shape[2:], system.low, system.high
+        flat = len(below), height, width
+        planes, layers = made.reshape(flat), seen.reshape(flat)
+        if what == _STRIPS:  # by one thread, which has their columns in its cache
+            for plane in range(first, last, channels):
+                cut_columns(columns, seen, across.start, low, high, plane, plane + 1)
+            for plane in range(first, last, channels):
+                fill_strips(below, beside, seen, columns, down, across, low, high, plane, plane + 1)
+        elif what == _FORTH:
+            shares = shares_of_right(row, system.weight)
+            strips = Strips(below, beside, down.start, across.start, weight * shares.other)
+            right = Sum(layers, known.data, strips, shares, low, high)
+            forth(planes, right, known.forth, first, last)
+        elif what == _SOLVE:
+            terms = terms_of(row, system, height * (width // 2))
+            symbol, turns, by_row = system.symbol, system.turns, system.by_row
+            other, window = known.other, known.window
+            solve_rows(made, symbol, turns, terms, other, window, by_row, first, last)
+        else:
+            other = known.none if row[4] == 0 else ago.reshape(flat)
+            rest = Sum(layers, other, known.strips, shares_of_rest(row), low, high)
+            back(planes, rest, known.back, first, last)

@@ -1,8 +1,8 @@
 """Steps of ADMM on whole planes, several in one call.
 
 Each is what `strips`, `planes` and `spectra` do one after the other. Between them the interpreter
-would take a tenth of the time on planes that fit into the cache, and threads another tenth that
-wait for the last of nine planes.
+would take a tenth of the time on planes that fit into the cache, and threads that wait for the last
+of nine planes a twentieth.
 """
 
 import math

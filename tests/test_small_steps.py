@@ -11,7 +11,7 @@ from layerfield.frequencies import low
 from layerfield.gram import spectral_of
 from layerfield.kernels import small_steps, transforms
 from layerfield.kernels.compiled import plain
-from layerfield.kernels.small_steps import steps_at_once
+from layerfield.kernels.small_steps import Coarse, steps_at_once
 from layerfield.kernels.transforms import transforms_made
 from layerfield.solvers.learned_admm import BALANCE
 
@@ -52,8 +52,7 @@ def test_steps_at_once_are_those_one_by_one(kind, threads):
 def test_others_are_made_one_by_one(monkeypatch):
     """Large planes, and where there is no transform to call."""
     solver, seen, grid = known("three layers")
-    planes = grid.to_pixels(seen)
-    facts = (planes, grid.system(BALANCE, BOUNDS), solver.coarse)
+    coarse = Coarse(grid.system(BALANCE, BOUNDS), solver.coarse, grid.pixels)
     expected = solver._solved_coarsely(grid, seen, BOUNDS)
     for where, name, other in (
         (small_steps, "_SMALL", 40 * 36),
@@ -61,6 +60,6 @@ def test_others_are_made_one_by_one(monkeypatch):
     ):
         with monkeypatch.context() as patch:
             patch.setattr(where, name, other)
-            assert steps_at_once(*facts) is None
+            assert steps_at_once(seen, coarse) is None
             found = solver._solved_coarsely(grid, seen, BOUNDS)
         assert (found - expected).abs().max() <= 3e-5 * expected.abs().max()

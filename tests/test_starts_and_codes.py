@@ -28,7 +28,7 @@ def test_balanced_starts_are_those_of_pytorch(batch, torus):
 
 def test_smaller_tori_are_refused():
     seen, shares, rest = torch.rand(3, 2, 5, 6), torch.rand(3, 1, 5, 6), torch.rand(1, 2, 1, 1)
-    with pytest.raises(ValueError, match=r"found .* a torus \(4, 6\), expected"):
+    with pytest.raises(ValueError, match=r"found a torus \(4, 6\), expected"):
         shared_start(seen, shares, rest, (4, 6))
 
 

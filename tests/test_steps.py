@@ -15,13 +15,13 @@ from displays import SHOWN
 from layerfield import Display, solvers
 from layerfield.display_spec import parse_spec
 from layerfield.fast import shipped_steps, warm_steps
-from layerfield.kernels import compiled, steps, transforms
+from layerfield.kernels import compiled, small_steps, steps, transforms
 from layerfield.kernels.compiled import plain
-from layerfield.kernels.small_steps import steps_at_once
-from layerfield.kernels.steps import steps_in_one_call
+from layerfield.kernels.small_steps import Coarse, steps_at_once
+from layerfield.kernels.steps import BalancedStart, steps_in_one_call
 from layerfield.kernels.transforms import transforms_made
 from layerfield.solve import MultiStep, Problem, solve
-from layerfield.solvers import admm_steps
+from layerfield.solvers import admm_steps, learned_admm
 from layerfield.solvers.fourier_admm import FourierAdmm
 
 SOLVERS = {
@@ -57,9 +57,9 @@ def test_several_steps_are_those_one_by_one(monkeypatch, solver, kind, count, th
     assert isinstance(made, MultiStep)
     start = made.init(problem, None)
     expected = one_by_one(made, problem, start, count)
-    seen = start.shadow.clone()
+    seen = made.layers(problem, start)
     found = made.steps(problem, start, count)
-    assert torch.equal(start.shadow, seen), "a state is a value"
+    assert torch.equal(made.layers(problem, start), seen), "a state is a value"
     assert torch.equal(found.shadow, expected.shadow)
     before = getattr(expected, "before", None)
     if before is not None:
@@ -124,6 +124,48 @@ def test_many_iterations_are_made_at_once_where_nobody_looks(monkeypatch):
     assert torch.equal(found.layers, watched.layers)
 
 
+def test_the_first_of_learned_steps_begins_the_call(monkeypatch):
+    """From views alone to the last step nothing else is called, and what nobody sees is known."""
+    problem, learned = posed("three layers", (2,)), SOLVERS["learned"]
+    calls = []
+
+    def counted(*given):
+        calls.append(given)
+        return steps_in_one_call(*given)
+
+    monkeypatch.setattr(learned_admm, "steps_in_one_call", counted)
+    monkeypatch.setattr(admm_steps, "steps_in_one_call", None)
+    with transforms_made() as transforms:
+        found = learned.steps(problem, learned.init(problem, None), len(learned.full))
+    assert len(calls) == 1
+    assert isinstance(calls[0][0], BalancedStart)
+    assert len(transforms) == 2 * len(learned.full) + 2 * (len(learned.coarse) + 1)
+    assert found.before is not None
+
+
+@pytest.mark.parametrize(
+    ("where", "name", "other"),
+    [(small_steps, "_SMALL", 1), (steps, "LARGE", 1), (learned_admm, "COARSE", 16)],
+)
+def test_otherwise_the_first_of_learned_steps_is_made_by_itself(monkeypatch, where, name, other):
+    """Large planes, on either grid; and pictures too small for larger pixels."""
+    problem, learned = posed("three layers"), SOLVERS["learned"]
+    monkeypatch.setattr(where, name, other)
+    found = learned.steps(problem, learned.init(problem, None), 4)
+    assert found.count == 4
+    with plain():
+        problem = posed("three layers")
+        expected = learned.steps(problem, learned.init(problem, None), 4)
+    assert (found.shadow - expected.shadow).abs().max() < 2e-4
+
+
+def test_layers_of_no_step_are_the_balanced_start():
+    problem, learned = posed("three layers", (2,)), SOLVERS["learned"]
+    found = solve(problem, learned, iterations=0)
+    assert found.layers.equal(problem.even_start().clamp(0, 1))
+    assert solve(problem, learned, iterations=3, init=found).iterations == 3
+
+
 def test_who_makes_steps_of_its_own_makes_several_of_them():
     """A solver that inherits `steps` and has another `step` would make those of its parent."""
     modules = [
@@ -169,7 +211,7 @@ def test_matrices_of_another_size_are_refused():
     with pytest.raises(ValueError, match="found matrices"):
         in_one_call(problem, system=other)
     with pytest.raises(ValueError, match="found matrices"):
-        steps_at_once(shadow, other, [(0.1, 1, 1, 1, 0)])
+        steps_at_once(torch.fft.rfft2(shadow), Coarse(other, [(0.1, 1, 1, 1, 0)], 1.0))
     with pytest.raises(ValueError, match="found planes"):
         in_one_call(problem, data=torch.nn.functional.pad(shadow, (0, 1)))
 

@@ -171,20 +171,30 @@ class Problem:
             total += weight * residual.double().square().mean().item()
         return total / sum(self.weights)
 
+    @property
+    def even_shares(
+        self,
+    ) -> tuple[Float[Tensor, "layer 1 ly lx"], Float[Tensor, "*batch 1 1 c 1 1"]]:
+        """What A^T W L is multiplied by for the balanced start, and what is taken where that is 0.
+
+        The mean of the views is that of the first layer's light over its coverage.
+        """
+        first = self.back_projected[..., :1, :, :, :]
+        rest = first.sum(dim=(-2, -1), keepdim=True) * self.constants.mean_share
+        return self.constants.even_shares, rest
+
     def even_start(
         self, size: tuple[int, int] | None = None
     ) -> Float[Tensor, "*batch 1 layer c ty tx"]:
         """Return the balanced start: every layer shows what its viewers see on average, shared.
 
-        z_k = A_k^T W L / (A_k^T W 1) / K. Pixels that nobody sees take the mean of the views, which
-        is that of the first layer's light over its coverage.
+        z_k = A_k^T W L / (A_k^T W 1) / K. Pixels that nobody sees take the mean of the
+        views over K.
 
         Args:
             size: of a torus, on which the layers are, and 0 beside them.
         """
-        first = self.back_projected[..., :1, :, :, :]
-        rest = first.sum(dim=(-2, -1), keepdim=True) * self.constants.mean_share
-        shares = self.constants.even_shares
+        shares, rest = self.even_shares
         height, width = self.layer_shape[-2:]
         ty, tx = size or (height, width)
         if serve(self.back_projected):

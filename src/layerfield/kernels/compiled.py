@@ -9,7 +9,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import cache, cached_property, partial, update_wrapper
 from importlib import import_module
-from inspect import unwrap
+from inspect import signature, unwrap
 from pathlib import Path
 from types import FunctionType
 from typing import Any
@@ -22,11 +22,13 @@ from layerfield.kernels.threads import FEW, SPANS, in_threads, parallel_address
 
 # As C compilers have it: sums may be reordered, and nothing infinite comes in.
 _FREE = {"contract", "reassoc", "nsz", "arcp", "nnan", "ninf"}
+_LOOPS = {"nogil": True, "fastmath": _FREE, "error_model": "numpy"}
 # Loops that are functions of their own are put where they are called: calls cost as much as rows.
-_LOOPS = {"nogil": True, "inline": "always", "fastmath": _FREE, "error_model": "numpy"}
+_PUT_IN = {"inline": "always"}
 # What is called by name all the same: each that calls it holds a copy, and these do not round
 # alike. Which of one name a process takes would depend on which it has read first.
 _WHOLE = {"forceinline": True}
+_SPAN = ["begin", "end"]  # the last parameters of passes
 _SINGLE = (torch.float32, torch.complex64)
 _NO_NEEDS = np.zeros(0, np.int64)
 # Numba's own switch leaves loops to the interpreter, which would take minutes: PyTorch does not.
@@ -110,7 +112,9 @@ class compiled:  # noqa: N801 - a decorator
         """Numba's own."""
         import numba  # noqa: PLC0415
 
-        return _kept(numba.njit, self._resolved, **_LOOPS, **_WHOLE)
+        # Calls of passes over spans cost nothing, and to compile those once takes a third of it.
+        put_in = {} if [*signature(self._function).parameters][-2:] == _SPAN else _PUT_IN
+        return _kept(numba.njit, self._resolved, **_LOOPS, **put_in, **_WHOLE)
 
     @cached_property
     def address(self) -> int:

@@ -3,13 +3,18 @@
 from typing import NamedTuple
 
 import numpy as np
-import torch
-from jaxtyping import Float
+from jaxtyping import Complex
 from torch import Tensor
 
 from layerfield.kernels.blends import Sum, blend_row
 from layerfield.kernels.compiled import compiled
-from layerfield.kernels.spectra import refuse_other_matrices, solve_rows
+from layerfield.kernels.spectra import (
+    numbers_of,
+    put_low,
+    read_low,
+    refuse_other_matrices,
+    solve_rows,
+)
 from layerfield.kernels.strips import NO_STRIPS, Strips
 from layerfield.kernels.systems import (
     Steps,
@@ -19,94 +24,173 @@ from layerfield.kernels.systems import (
     shares_of_start,
     terms_of,
 )
-from layerfield.kernels.transforms import Call, call_of, forth_and_back, transform_one
+from layerfield.kernels.transforms import (
+    Call,
+    PlaneTransform,
+    call_of,
+    forth_and_back,
+    note_turns,
+    transform_one,
+)
 
 _SMALL = 1 << 16  # pixels of a plane; from there on more threads are worth more than the cache
 _NONE = np.zeros((0, 0, 0), np.float32)
+_ONE = np.float32(1)
 
 
-class _Known(NamedTuple):
-    """What all steps of all colours have in common.
+class Coarse(NamedTuple):
+    """Steps on larger pixels, which find what takes the place of low frequencies.
 
     Args:
-        system: that they solve.
+        system: to be solved.
+        constants: of every step.
+        pixels: of the picture, that a larger one stands for.
+    """
+
+    system: System
+    constants: Steps
+    pixels: float
+
+
+class SmallSteps(NamedTuple):
+    """The same for compiled loops.
+
+    Args:
+        system: to be solved.
+        constants: of every step.
+        pixels: of the picture, that a larger one stands for.
         strips: there are none.
         forth: the transform of a plane.
         back: the same from frequencies to pixels.
     """
 
     system: System
+    constants: np.ndarray
+    pixels: np.float32
     strips: Strips
     forth: Call
     back: Call
 
 
+def small_transforms(
+    shape: tuple[int, ...], coarse: Coarse
+) -> tuple[PlaneTransform, PlaneTransform] | None:
+    """Return the transforms of all steps, or None where making them one by one is no slower.
+
+    Args:
+        shape: of low frequencies, `[..., layer, c, fy, fx]`.
+        coarse: the steps.
+
+    Raises:
+        ValueError: a system of another size.
+    """
+    pairs, by_row = (*shape[:-1], shape[-1] - 1), coarse.system.by_row
+    refuse_other_matrices(coarse.system.symbol.shape, shape[-4], pairs, by_row)
+    return None if pairs[-2] * 2 * pairs[-1] >= _SMALL else forth_and_back(pairs, by_row)
+
+
+def small_steps(
+    shape: tuple[int, ...], coarse: Coarse, transforms: tuple[PlaneTransform, PlaneTransform]
+) -> SmallSteps:
+    """Return what compiled loops take, once, as long as the transforms live."""
+    rows = np.array(coarse.constants, np.float32)
+    rows[0, -1] = 0  # there is no s of one step ago
+    note_turns((*shape[:-1], shape[-1] - 1), coarse.system.by_row, len(rows) + 1)
+    pixels, calls = np.float32(coarse.pixels), map(call_of, transforms)
+    return SmallSteps(coarse.system, rows, pixels, NO_STRIPS, *calls)
+
+
 def steps_at_once(
-    data: Float[Tensor, "*batch layer c ty tx"], system: System, constants: Steps
-) -> Float[Tensor, "*batch layer c ty tx"] | None:
-    """Return s after steps from b / (W K), or None where making them one by one is no slower.
+    seen: Complex[Tensor, "*batch layer c fy fx"], coarse: Coarse
+) -> Complex[Tensor, "*batch layer c fy fx"] | None:
+    """Return the spectrum of s after steps from b / (W K), or None; see `small_transforms`.
 
     Colours know nothing of each other: each is the task of one thread, from the first step to the
     last.
 
     Args:
-        data: b, of single precision, on a processor; the torus has an even width.
-        system: to be solved.
-        constants: of every step.
-
-    Raises:
-        ValueError: a system of another size.
+        seen: the spectrum of b, as `Pairs.low` returns it; on a processor, of single precision.
+        coarse: the steps.
     """
-    *batch, number, channels, height, width = data.shape
-    if height * width >= _SMALL:
+    if (transforms := small_transforms((*seen.shape,), coarse)) is None:
         return None
-    by_row, pairs = system.by_row, (*data.shape[:-1], width // 2)
-    refuse_other_matrices(system.symbol.shape, number, pairs, by_row)
-    if (transforms := forth_and_back(pairs, by_row, len(constants))) is None:
-        return None
-    seen = data.transpose(-4, -3).contiguous().view(-1, number, height, width)
-    made = torch.empty_like(seen)
-    known = _Known(system, NO_STRIPS, *map(call_of, transforms))
-    rows = np.array(constants, np.float32)
-    rows[0, -1] = 0  # there is no s of one step ago
-    given = (made.numpy(), seen.numpy(), rows, known)
-    _make_steps.in_spans(*given, count=len(seen), numbers=len(constants) * made.numel())
-    return made.view(*batch, channels, number, height, width).transpose(-4, -3)
+    result = seen.clone()
+    made, known = (
+        numbers_of(result, *seen.shape[-4:-2]),
+        small_steps((*seen.shape,), coarse, transforms),
+    )
+    colours, numbers = len(made) * made.shape[2], len(known.constants) * made.size
+    solve_low.in_spans(made, known, _ONE, count=colours, numbers=numbers)
+    return result
 
 
 @compiled
-def _make_steps(result, data, constants, known, begin, end):
-    """All layers of one colour after the other, from and to."""
-    (number, height, width), system, strips = data.shape[1:], known.system, known.strips
+def solve_low(spectrum, steps, factor, begin, end):
+    """Put multiples of spectra of s, after all steps, in the place of those of b.
+
+    All layers of one colour after the other, from and to.
+    """
+    for colour in range(begin, end):
+        item, channel = divmod(colour, spectrum.shape[2])
+        _solve_colour(spectrum, item, channel, steps, factor)
+
+
+@compiled
+def _solve_colour(spectrum, item, channel, steps, factor):
+    _, number, _, height, twice = spectrum.shape
+    width, system = twice - 2, steps.system
+    by_row, turns = system.by_row, system.turns
+    points = np.float32(width // 2 * (1 if by_row else height))
+    planes = np.empty((number, height, width), spectrum.dtype)
+    for k in range(number):
+        low = spectrum[item, k, channel].reshape(1, height, twice)
+        plane = planes[k].reshape(1, height, width)
+        put_low(plane, low, turns, _ONE / (points * steps.pixels), by_row, 0, height)
+        transform_one(planes[k], steps.back)
+    shadow = _after_steps(planes, steps, points)
+    for k in range(number):
+        low = spectrum[item, k, channel].reshape(1, height, twice)
+        plane = shadow[k].reshape(1, height, width)
+        transform_one(shadow[k], steps.forth)
+        read_low(low, plane, turns, by_row, 0, height)
+        for y in range(height):
+            _scale(low[0, y], steps.pixels * factor)
+
+
+@compiled
+def _after_steps(data, steps, points):
+    """Return s of all layers of one colour."""
+    (number, height, width), system, strips = data.shape, steps.system, steps.strips
     by_row, low, high = system.by_row, system.low, system.high
-    points = width // 2 * (1 if by_row else height)
     rows = height if by_row else height // 2 + 1
     window = np.zeros((0, 0), data.dtype)
     other = np.zeros((1, number, 1, 0, 0), data.dtype)
-    for place in range(begin, end):
-        seen = data[place]
-        shadow, before, work = np.empty_like(seen), np.empty_like(seen), np.empty_like(seen)
-        start = Sum(seen, _NONE, strips, shares_of_start(system.weight, number), low, high)
+    shadow, before, work = np.empty_like(data), np.empty_like(data), np.empty_like(data)
+    start = Sum(data, _NONE, strips, shares_of_start(system.weight, number), low, high)
+    for k in range(number):
+        for y in range(height):
+            blend_row(shadow[k, y], start, k, y, True)
+    for n in range(len(steps.constants)):
+        constants = steps.constants[n]
+        right = Sum(shadow, data, strips, shares_of_right(constants, system.weight), low, high)
         for k in range(number):
             for y in range(height):
-                blend_row(shadow[k, y], start, k, y, True)
-        for n in range(len(constants)):
-            right_shares = shares_of_right(constants[n], system.weight)
-            right = Sum(shadow, seen, strips, right_shares, low, high)
-            for k in range(number):
-                for y in range(height):
-                    blend_row(work[k, y], right, k, y, True)
-                transform_one(work[k], known.forth)
-            spectrum = work.reshape(1, number, 1, height, width)
-            symbol, turns = system.symbol, system.turns
-            terms = terms_of(constants[n], system, points)
-            solve_rows(spectrum, symbol, turns, terms, other, window, by_row, 0, rows)
-            rest_shares = shares_of_rest(constants[n])
-            ago = _NONE if constants[n, 4] == 0 else before
-            rest = Sum(shadow, ago, strips, rest_shares, low, high)
-            for k in range(number):
-                transform_one(work[k], known.back)
-                for y in range(height):
-                    blend_row(work[k, y], rest, k, y, False)
-            shadow, before, work = work, shadow, before
-        result[place] = shadow
+                blend_row(work[k, y], right, k, y, True)
+            transform_one(work[k], steps.forth)
+        spectrum = work.reshape(1, number, 1, height, width)
+        terms = terms_of(constants, system, points)
+        solve_rows(spectrum, system.symbol, system.turns, terms, other, window, by_row, 0, rows)
+        ago = _NONE if constants[4] == 0 else before
+        rest = Sum(shadow, ago, strips, shares_of_rest(constants), low, high)
+        for k in range(number):
+            transform_one(work[k], steps.back)
+            for y in range(height):
+                blend_row(work[k, y], rest, k, y, False)
+        shadow, before, work = work, shadow, before
+    return shadow
+
+
+@compiled
+def _scale(row, factor):
+    for x in range(len(row)):
+        row[x] *= factor

@@ -91,9 +91,9 @@ class Pairs:
         `planes` then are those of X, times what transforms leave out.
         """
         values = spectrum.new_empty(*spectrum.shape[:-1], spectrum.shape[-1] - 1)
-        made, seen, turns = _numbers(values), _numbers(spectrum), turns_of(2 * values.shape[-1])
+        made, seen, turns = numbers_of(values), numbers_of(spectrum), turns_of(2 * values.shape[-1])
         given = (made, seen, turns, np.float32(factor), by_row)
-        _put_low.in_spans(*given, count=math.prod(made.shape[:2]), numbers=made.size)
+        put_low.in_spans(*given, count=math.prod(made.shape[:2]), numbers=made.size)
         return cls(values, by_row)
 
     def planes(self, added: Blend | None = None) -> Float[Tensor, "*batch ty tx"]:
@@ -116,14 +116,14 @@ class Pairs:
         """
         number, channels, height, half = self.values.shape[-4:]
         refuse_other_matrices(symbol.shape, number, self.values.shape, self.by_row)
-        seen = _numbers(self.values, number, channels)
+        seen = numbers_of(self.values, number, channels)
         factor = 1 / (half if self.by_row else height * half)
         kept, gain = terms.kept * factor, terms.gain * factor
         known = Terms._make(map(np.float32, terms._replace(gain=gain, kept=kept)))
         if low is None:
             other, window = seen[..., :0], np.zeros((0, 0), np.float32)
         else:
-            other = _numbers(low.spectrum * factor, number, channels)
+            other = numbers_of(low.spectrum * factor, number, channels)
             window = low.window.expand(other.shape[-2], -1).numpy()
         rows = height if self.by_row else height // 2 + 1
         given = (seen, symbol.numpy(), turns_of(2 * half), known, other, window, self.by_row)
@@ -133,8 +133,8 @@ class Pairs:
         """Return X of low frequencies, as that of a smaller torus; its highest are 0."""
         *batch, _, half = self.values.shape
         result = self.values.new_zeros(*batch, torus[0], torus[1] // 2 + 1)
-        made, given = _numbers(result), (_numbers(self.values), turns_of(2 * half), self.by_row)
-        _read_low.in_spans(made, *given, count=math.prod(made.shape[:2]), numbers=made.size)
+        made, given = numbers_of(result), (numbers_of(self.values), turns_of(2 * half), self.by_row)
+        read_low.in_spans(made, *given, count=math.prod(made.shape[:2]), numbers=made.size)
         return result
 
 
@@ -157,7 +157,7 @@ def refuse_other_matrices(
         raise ValueError(f"found matrices {tuple(found)}, expected {expected}")
 
 
-def _numbers(values: Tensor, *by: int) -> np.ndarray:
+def numbers_of(values: Tensor, *by: int) -> np.ndarray:
     """Return `[n, *by, y, 2 x]`."""
     height, width = values.shape[-2:]
     return torch.view_as_real(values).view(-1, *by, height, 2 * width).numpy()
@@ -255,7 +255,7 @@ def _add_one(value, x, real, imaginary, cos, sin):
 
 
 @compiled
-def _read_low(result, spectrum, turns, by_row, begin, end):
+def read_low(result, spectrum, turns, by_row, begin, end):
     """Rows of all planes, from and to, but for the highest frequencies of the smaller torus."""
     height, rows = spectrum.shape[1], result.shape[1]
     for number in range(begin, end):
@@ -282,7 +282,7 @@ def _read_row(result, here, there, turns):
 
 
 @compiled
-def _put_low(result, spectrum, turns, factor, by_row, begin, end):
+def put_low(result, spectrum, turns, factor, by_row, begin, end):
     """Rows of all planes, one after the other, from and to."""
     height = result.shape[1]
     for number in range(begin, end):

@@ -1,10 +1,43 @@
 """The balanced start of a solver, in one pass."""
 
+from typing import NamedTuple
+
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.kernels.compiled import compiled
+from layerfield.kernels.strips import Side
+
+
+class Even(NamedTuple):
+    """What makes the balanced start of what is seen; see `shared_start`.
+
+    Args:
+        shares: `[layer, ly, lx]`.
+        rest: `[item, channel]`.
+    """
+
+    shares: np.ndarray
+    rest: np.ndarray
+
+
+def even_of(
+    seen: Float[Tensor, "*batch layer c ly lx"],
+    shares: Float[Tensor, "layer 1 ly lx"],
+    rest: Float[Tensor, "*batch 1 c 1 1"],
+) -> Even:
+    """Return the same for compiled loops.
+
+    Raises:
+        ValueError: shares of other layers.
+    """
+    *batch, number, channels, height, width = seen.shape
+    if shares.shape != (number, 1, height, width):
+        raise ValueError(f"found shares {tuple(shares.shape)}, expected {number, 1, height, width}")
+    others = rest.detach().expand(*batch, 1, channels, 1, 1).contiguous().view(-1, channels)
+    return Even(shares.contiguous().view(number, height, width).numpy(), others.numpy())
 
 
 def shared_start(
@@ -21,38 +54,59 @@ def shared_start(
         rest: is taken.
         size: height and width of the torus, no smaller than the layers.
     """
-    *batch, number, channels, height, width = seen.shape
-    if size[0] < height or size[1] < width or shares.shape != (number, 1, height, width):
-        found = f"shares {tuple(shares.shape)} and a torus {size}"
-        raise ValueError(f"found {found}, expected {(number, 1, height, width)} and no smaller one")
-    result = torch.empty(*batch, number, channels, *size)
-    planes = (each.detach().contiguous().flatten(end_dim=-3) for each in (result, seen))
-    made, known = (each.numpy() for each in planes)
-    parts = shares.contiguous().view(number, height, width).numpy()
-    others = rest.detach().expand(*batch, 1, channels, 1, 1).contiguous().view(-1, channels).numpy()
-    count, numbers = len(made) * size[0], made.size
-    _share.in_spans(made, known, parts, others, count=count, numbers=numbers)
+    even, (*batch, height, width) = even_of(seen, shares, rest), seen.shape
+    if size[0] < height or size[1] < width:
+        raise ValueError(f"found a torus {size}, expected no smaller one than {(height, width)}")
+    result = torch.empty(*batch, *size)
+    made, known = (each.detach().contiguous().flatten(end_dim=-3) for each in (result, seen))
+    given = made.numpy(), known.numpy(), even
+    _share.in_spans(*given, count=len(made) * size[0], numbers=made.numel())
     return result
 
 
 @compiled
-def _share(result, seen, shares, rest, begin, end):
+def _share(result, seen, even, begin, end):
     """Rows of all planes, one after the other, from and to."""
-    rows, (number, height, width), channels = result.shape[1], shares.shape, rest.shape[1]
+    rows, width = result.shape[1:]
     for place in range(begin, end):
         plane, y = divmod(place, rows)
-        row = result[plane, y]
-        if y < height:
-            item, channel = plane // (channels * number), plane % channels
-            _set(
-                row[:width],
-                seen[plane, y],
-                shares[plane // channels % number, y],
-                rest[item, channel],
-            )
-            row[width:] = 0
+        _share_row(result[plane, y], seen, even, plane, y, 0, width)
+
+
+@compiled
+def share_rim(plane, seen, even, number, down: Side, across: Side):
+    """Find the rows and columns of a plane that strips are found of, and nothing else.
+
+    Args:
+        plane: of a torus; what is written on.
+        seen: of all planes.
+        even: see there.
+        number: of the plane.
+        down: of the strips.
+        across: the same.
+    """
+    height, width = plane.shape
+    thick, wide = down.matrix.shape[-1], across.matrix.shape[-1]
+    right = min(across.start + wide, width)  # what is beyond lies on the left
+    left = across.start + wide - right
+    for y in range(height):
+        if (y - down.start) % height < thick:
+            _share_row(plane[y], seen, even, number, y, 0, width)
         else:
-            row[:] = 0
+            _share_row(plane[y], seen, even, number, y, 0, left)
+            _share_row(plane[y], seen, even, number, y, across.start, right)
+
+
+@compiled
+def _share_row(row, seen, even, plane, y, left, right):
+    """Pixels from and to."""
+    (number, height, width), channels = even.shares.shape, even.rest.shape[1]
+    inside = max(left, min(right, width)) if y < height else left
+    if left < inside:
+        rest = even.rest[plane // (channels * number), plane % channels]
+        share = even.shares[plane // channels % number, y, left:inside]
+        _set(row[left:inside], seen[plane, y, left:inside], share, rest)
+    row[inside:right] = 0
 
 
 @compiled

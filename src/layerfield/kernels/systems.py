@@ -69,6 +69,12 @@ def shares_of_start(weight, number):
 
 
 @compiled
+def shares_of_data():
+    """Of b."""
+    return Shares(_ZERO, _ZERO, _ONE)
+
+
+@compiled
 def shares_of_right(constants, weight):
     """Of z - trust (s - z) + b / rho."""
     trust = constants[2]
@@ -87,3 +93,12 @@ def terms_of(constants, system, points):
     """Of a rho (G + rho I)^-1, over what transforms leave out."""
     rho = constants[0] * system.weight
     return Terms(rho, system.pull, constants[1] * rho / np.float32(points), _ZERO)
+
+
+@compiled
+def terms_of_first(constants, system, number, points):
+    """Of what makes z + a (x - z) of b, with x = (G + rho I)^-1 (b + rho z) and z = b / (W K)."""
+    rho, a = constants[0] * system.weight, constants[1]
+    share = _ONE / (system.weight * np.float32(number))
+    gain, kept = a * (_ONE + rho * share), (_ONE - a) * share
+    return Terms(rho, system.pull, gain / np.float32(points), kept / np.float32(points))

@@ -97,16 +97,11 @@ def plane_transform(shape: tuple[int, ...], by_row: bool, back: bool) -> PlaneTr
 
 
 def forth_and_back(
-    shape: tuple[int, ...], by_row: bool, times: int
+    shape: tuple[int, ...], by_row: bool
 ) -> tuple[PlaneTransform, PlaneTransform] | None:
-    """Return what does so, and what leads back, for so many times in turns; or None."""
+    """Return what does so, and what leads back, or None; who calls them notes their turns."""
     forth, back = (_for_each_of(shape, by_row, each) for each in (False, True))
-    if forth is None or back is None:
-        return None
-    for _ in range(times):
-        note_transform(shape, by_row, back=False)
-        note_transform(shape, by_row, back=True)
-    return forth, back
+    return None if forth is None or back is None else (forth, back)
 
 
 def _for_each_of(shape: tuple[int, ...], by_row: bool, back: bool) -> PlaneTransform | None:
@@ -146,6 +141,12 @@ def note_transform(shape: tuple[int, ...], by_row: bool, back: bool) -> None:
     """Add one to `transforms_made`."""
     if (made := _MADE.get()) is not None:
         made.append(Transform(shape, by_row, back))
+
+
+def note_turns(shape: tuple[int, ...], by_row: bool, times: int) -> None:
+    """Add so many, each forth and back, to `transforms_made`."""
+    for back in (False, True) * times:
+        note_transform(shape, by_row, back)
 
 
 def _transform_of(shape: tuple[int, ...], by_row: bool, back: bool) -> PlaneTransform | None:

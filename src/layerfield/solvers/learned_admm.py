@@ -9,7 +9,8 @@ from torch import Tensor
 
 from layerfield.frequencies import Apart, Spectral
 from layerfield.kernels.blends import Blend, Shares
-from layerfield.kernels.small_steps import steps_at_once
+from layerfield.kernels.small_steps import Coarse, steps_at_once
+from layerfield.kernels.steps import BalancedStart, steps_in_one_call
 from layerfield.solve import Problem
 from layerfield.solvers.admm_steps import (
     Constants,
@@ -39,6 +40,11 @@ class LearnedState:
 
 
 @dataclass(frozen=True, eq=False)
+class Unbegun:
+    """No step was made: layers are the balanced start, of which the first step needs a rim."""
+
+
+@dataclass(frozen=True, eq=False)
 class LearnedAdmm:
     """Minimise 1/2 ||A P - L||^2_W over a box, as well as a given number of steps can.
 
@@ -57,7 +63,8 @@ class LearnedAdmm:
     Behind the last learned step, and from layers that are given, the direct solver goes on.
 
     Args:
-        full: constants of every step, of displays of few layers; of more see `Constants.among`.
+        full: constants of every step, one at the least, of displays of few layers; of more see
+            `Constants.among`.
         coarse: constants of the steps on large pixels.
         after: what goes on.
     """
@@ -66,9 +73,11 @@ class LearnedAdmm:
     coarse: Sequence[Constants]
     after: FourierAdmm = field(default_factory=FourierAdmm)
 
-    def init(self, problem: Problem, start: LearnedState | Tensor | None) -> LearnedState:
-        if start is None:
-            return LearnedState(problem.even_start(problem.gram.torus))
+    def init(
+        self, problem: Problem, start: LearnedState | Unbegun | Tensor | None
+    ) -> LearnedState | Unbegun:
+        if start is None or isinstance(start, Unbegun):
+            return Unbegun()
         if isinstance(start, LearnedState):
             return start if start.after else self._handed_on(problem, self.layers(problem, start))
         return self._handed_on(problem, start)
@@ -77,36 +86,60 @@ class LearnedAdmm:
         after = self.after.init(problem, layers)
         return LearnedState(after.shadow, None, len(self.full), after)
 
-    def step(self, problem: Problem, state: LearnedState) -> LearnedState:
+    def step(self, problem: Problem, state: LearnedState | Unbegun) -> LearnedState | Unbegun:
         return self.steps(problem, state, 1)
 
-    def steps(self, problem: Problem, state: LearnedState, count: int) -> LearnedState:
+    def steps(
+        self, problem: Problem, state: LearnedState | Unbegun, count: int
+    ) -> LearnedState | Unbegun:
         if count == 0:
             return state
+        if isinstance(state, Unbegun):
+            rows = self._rows(problem, 0, count)
+            made = LearnedState(*self._from_start(problem, rows), len(rows))
+            return self.steps(problem, made, count - len(rows))
         if state.after is not None or state.count >= len(self.full):
             known = state.after or self._handed_on(problem, self.layers(problem, state)).after
             assert known is not None
             after = self.after.steps(problem, known, count)
             return LearnedState(after.shadow, None, state.count, after)
-        if state.count == 0:
-            made, number = (self._first(problem, state.shadow), None), 1
-        else:
-            rows = [each.among(problem.layer_count) for each in self.full[state.count :][:count]]
-            made = after_steps(problem, state.shadow, state.before, rows, BALANCE)
-            number = len(rows)
-        return self.steps(problem, LearnedState(*made, state.count + number), count - number)
+        rows = self._rows(problem, state.count, count)
+        made = after_steps(problem, state.shadow, state.before, rows, BALANCE)
+        return self.steps(problem, LearnedState(*made, state.count + len(rows)), count - len(rows))
+
+    def _rows(self, problem: Problem, made: int, count: int) -> list[Constants]:
+        """Return the constants of so many steps behind those made, or of what is left."""
+        return [each.among(problem.layer_count) for each in self.full[made:][:count]]
 
     def layers(
-        self, problem: Problem, state: LearnedState
+        self, problem: Problem, state: LearnedState | Unbegun
     ) -> Float[Tensor, "*batch 1 layer c ly lx"]:
+        if isinstance(state, Unbegun):
+            return problem.even_start().clamp(*problem.bounds)
         return problem.gram.from_torus(state.shadow).clamp(*problem.bounds)
 
-    def _first(self, problem: Problem, shadow: Tensor) -> Tensor:
-        constants, spectral = self.full[0].among(problem.layer_count), problem.gram.spectral
+    def _from_start(
+        self, problem: Problem, rows: Sequence[Constants]
+    ) -> tuple[Tensor, Tensor | None]:
+        """Return s after the first steps, and of one step before."""
+        spectral, sides, data = problem.gram.spectral, problem.gram.sides, problem.back_projected
+        grid = coarse_grid(spectral) if self.coarse else None
+        if grid is not None and sides is not None and spectral.serves(data):
+            coarse = self._coarse(grid, problem.bounds)
+            start = BalancedStart(*problem.even_shares, coarse, grid.window)
+            system = spectral.system(BALANCE, problem.bounds)
+            made = steps_in_one_call(start, None, data, system, sides, rows)
+            if made is not None:
+                return made
+        first = self._first(problem, rows[0], grid)
+        return after_steps(problem, first, None, rows[1:], BALANCE)
+
+    def _first(self, problem: Problem, constants: Constants, grid: Spectral | None) -> Tensor:
+        """Return s after the first step."""
+        spectral, apart = problem.gram.spectral, None
         share = 1 / (spectral.weight * len(spectral.symbol))
         a, rho = constants.relaxation, constants.penalty * spectral.weight
-        data = right_hand_side(problem, shadow, Shares(0, 0, 1))
-        grid, apart = coarse_grid(spectral) if self.coarse else None, None
+        data = right_hand_side(problem, problem.even_start(problem.gram.torus), Shares(0, 0, 1))
         if grid is not None:
             solve = partial(self._solved_coarsely, grid, bounds=problem.bounds)
             apart = Apart(grid, solve)
@@ -114,20 +147,24 @@ class LearnedAdmm:
         gain, kept = a * (1 / rho + share), (1 - a) * share
         return spectral.solved_pixels(data, constants.penalty, BALANCE, gain, kept, apart)
 
-    def _solved_coarsely(
-        self, coarser: Spectral, seen: Tensor, bounds: tuple[float, float]
-    ) -> Tensor:
+    def _coarse(self, grid: Spectral, bounds: tuple[float, float]) -> Coarse:
+        """Return the coarse steps for compiled loops."""
+        steps = [each.among(len(grid.symbol)) for each in self.coarse]
+        return Coarse(grid.system(BALANCE, bounds), steps, grid.pixels)
+
+    def _solved_coarsely(self, grid: Spectral, seen: Tensor, bounds: tuple[float, float]) -> Tensor:
         """Return the spectrum of s after all coarse steps."""
-        data, number = coarser.low_to_pixels(seen), len(coarser.symbol)
-        steps, made = [each.among(number) for each in self.coarse], None
-        if coarser.serves(data):
-            made = steps_at_once(data, coarser.system(BALANCE, bounds), steps)
-        if made is None:
-            made, before = data / (coarser.weight * number), None
-            for constants in steps:
-                right = Blend(right_shares(coarser, constants), made, bounds, data)
-                made, before = moved(coarser, right, made, before, bounds, constants, BALANCE), made
-        return coarser.to_low(made)
+        if grid.serves(seen):
+            made = steps_at_once(seen, self._coarse(grid, bounds))
+            if made is not None:
+                return made
+        data, number, before = grid.low_to_pixels(seen), len(grid.symbol), None
+        made = data / (grid.weight * number)
+        for each in self.coarse:
+            constants = each.among(number)
+            right = Blend(right_shares(grid, constants), made, bounds, data)
+            made, before = moved(grid, right, made, before, bounds, constants, BALANCE), made
+        return grid.to_low(made)
 
 
 def coarse_grid(spectral: Spectral) -> Spectral | None:

@@ -125,7 +125,7 @@ def test_many_iterations_are_made_at_once_where_nobody_looks(monkeypatch):
 
 
 def test_the_first_of_learned_steps_begins_the_call(monkeypatch):
-    """From views alone to the last step nothing else is called, and what nobody sees is known."""
+    """From the balanced start to the last learned step nothing else is called."""
     problem, learned = posed("three layers", (2,)), SOLVERS["learned"]
     calls = []
 

@@ -24,14 +24,7 @@ from layerfield.kernels.systems import (
     shares_of_start,
     terms_of,
 )
-from layerfield.kernels.transforms import (
-    Call,
-    PlaneTransform,
-    call_of,
-    forth_and_back,
-    note_turns,
-    transform_one,
-)
+from layerfield.kernels.transforms import Call, ForthAndBack, forth_and_back, transform_one
 
 _SMALL = 1 << 16  # pixels of a plane; from there on more threads are worth more than the cache
 _NONE = np.zeros((0, 0, 0), np.float32)
@@ -72,9 +65,7 @@ class SmallSteps(NamedTuple):
     back: Call
 
 
-def small_transforms(
-    shape: tuple[int, ...], coarse: Coarse
-) -> tuple[PlaneTransform, PlaneTransform] | None:
+def small_transforms(shape: tuple[int, ...], coarse: Coarse) -> ForthAndBack | None:
     """Return the transforms of all steps, or None where making them one by one is no slower.
 
     Args:
@@ -89,15 +80,12 @@ def small_transforms(
     return None if pairs[-2] * 2 * pairs[-1] >= _SMALL else forth_and_back(pairs, by_row)
 
 
-def small_steps(
-    shape: tuple[int, ...], coarse: Coarse, transforms: tuple[PlaneTransform, PlaneTransform]
-) -> SmallSteps:
+def small_steps(coarse: Coarse, transforms: ForthAndBack) -> SmallSteps:
     """Return what compiled loops take, once, as long as the transforms live."""
     rows = np.array(coarse.constants, np.float32)
     rows[0, -1] = 0  # there is no s of one step ago
-    note_turns((*shape[:-1], shape[-1] - 1), coarse.system.by_row, len(rows) + 1)
-    pixels, calls = np.float32(coarse.pixels), map(call_of, transforms)
-    return SmallSteps(coarse.system, rows, pixels, NO_STRIPS, *calls)
+    calls = transforms.calls(len(rows) + 1)
+    return SmallSteps(coarse.system, rows, np.float32(coarse.pixels), NO_STRIPS, *calls)
 
 
 def steps_at_once(
@@ -114,11 +102,8 @@ def steps_at_once(
     """
     if (transforms := small_transforms((*seen.shape,), coarse)) is None:
         return None
-    result = seen.clone()
-    made, known = (
-        numbers_of(result, *seen.shape[-4:-2]),
-        small_steps((*seen.shape,), coarse, transforms),
-    )
+    result, known = seen.clone(), small_steps(coarse, transforms)
+    made = numbers_of(result, *seen.shape[-4:-2])
     colours, numbers = len(made) * made.shape[2], len(known.constants) * made.size
     solve_low.in_spans(made, known, _ONE, count=colours, numbers=numbers)
     return result

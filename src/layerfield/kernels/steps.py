@@ -45,14 +45,7 @@ from layerfield.kernels.systems import (
 )
 from layerfield.kernels.threads import SPANS, parallel_address
 from layerfield.kernels.three_passes import LARGE
-from layerfield.kernels.transforms import (
-    Call,
-    PlaneTransform,
-    call_of,
-    forth_and_back,
-    note_turns,
-    transform_one,
-)
+from layerfield.kernels.transforms import Call, ForthAndBack, forth_and_back, transform_one
 
 _STRIPS, _FORTH, _COARSE, _SOLVE, _BACK = range(5)  # what there is to do
 _ONE = np.float32(1)
@@ -152,13 +145,13 @@ def steps_in_one_call(
     low = None if first is None else small_transforms(_low(first, shape), first.coarse)
     if transforms is None or (first is not None and low is None):
         return None
-    note_turns(pairs, by_row=False, times=count)
+    to_frequencies, to_pixels = transforms.calls(count)
     known = _Known(
         data=corners_of(data, shape),
         system=system,
         sides=sides,
-        forth=call_of(transforms[0]),
-        back=call_of(transforms[1]),
+        forth=to_frequencies,
+        back=to_pixels,
         none=np.zeros((0, 0, 0), np.float32),
         strips=NO_STRIPS,
         other=np.zeros((1, shape[-4], 1, 0, 0), np.float32),
@@ -188,7 +181,7 @@ def _low(first: BalancedStart, shape: tuple[int, ...]) -> tuple[int, ...]:
 
 def _first(
     first: BalancedStart,
-    transforms: tuple[PlaneTransform, PlaneTransform],
+    transforms: ForthAndBack,
     data: Tensor,
     shape: tuple[int, ...],
 ) -> _First:
@@ -197,7 +190,7 @@ def _first(
     return _First(
         is_here=True,
         even=even_of(data, first.shares, first.rest),
-        coarse=small_steps(_low(first, shape), first.coarse, transforms),
+        coarse=small_steps(first.coarse, transforms),
         other=np.zeros((math.prod(batch), number, channels, height, 2 * half), np.float32),
         window=first.window.numpy(),
     )
@@ -239,10 +232,9 @@ def _tasks(
         needs.append(need)
         return len(tasks)
 
-    def solve(step: int, begin: int, end: int, need: int) -> int:
+    def solve(step: int, begin: int, end: int, need: int) -> None:
         for row in range(begin, end, length):
             add(_SOLVE, step, row, min(row + length, end), need)
-        return len(tasks)
 
     shown = [0] * len(colours)
     for step in range(count):

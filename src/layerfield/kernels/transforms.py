@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -96,12 +97,33 @@ def plane_transform(shape: tuple[int, ...], by_row: bool, back: bool) -> PlaneTr
     return transform
 
 
-def forth_and_back(
-    shape: tuple[int, ...], by_row: bool
-) -> tuple[PlaneTransform, PlaneTransform] | None:
-    """Return what does so, and what leads back, or None; who calls them notes their turns."""
+@dataclass(frozen=True)
+class ForthAndBack:
+    """What compiled loops transform planes one by one with, and back, in turns.
+
+    Args:
+        shape: of all values.
+        by_row: every row by itself, or both directions.
+        forth: the transform.
+        back: the same from frequencies to pixels.
+    """
+
+    shape: tuple[int, ...]
+    by_row: bool
+    forth: PlaneTransform
+    back: PlaneTransform
+
+    def calls(self, times: int) -> tuple[Call, Call]:
+        """Return what those take that call each so many times, as long as this lives."""
+        for back in (False, True) * times:
+            note_transform(self.shape, self.by_row, back)
+        return call_of(self.forth), call_of(self.back)
+
+
+def forth_and_back(shape: tuple[int, ...], by_row: bool) -> ForthAndBack | None:
+    """Return both transforms of planes of such values, where `plane_transform` returns each."""
     forth, back = (_for_each_of(shape, by_row, each) for each in (False, True))
-    return None if forth is None or back is None else (forth, back)
+    return None if forth is None or back is None else ForthAndBack(shape, by_row, forth, back)
 
 
 def _for_each_of(shape: tuple[int, ...], by_row: bool, back: bool) -> PlaneTransform | None:
@@ -141,12 +163,6 @@ def note_transform(shape: tuple[int, ...], by_row: bool, back: bool) -> None:
     """Add one to `transforms_made`."""
     if (made := _MADE.get()) is not None:
         made.append(Transform(shape, by_row, back))
-
-
-def note_turns(shape: tuple[int, ...], by_row: bool, times: int) -> None:
-    """Add so many, each forth and back, to `transforms_made`."""
-    for back in (False, True) * times:
-        note_transform(shape, by_row, back)
 
 
 def _transform_of(shape: tuple[int, ...], by_row: bool, back: bool) -> PlaneTransform | None:

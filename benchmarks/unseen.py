@@ -117,4 +117,8 @@ def main(out: Path) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("out", type=Path)
-    main(parser.parse_args().out)
+    given = parser.parse_args()
+    try:
+        main(given.out)
+    except ValueError as error:
+        parser.error(str(error))

@@ -207,7 +207,8 @@ def test_others_are_made_one_by_one(monkeypatch):
 def test_matrices_of_another_size_are_refused():
     problem = posed("three layers")
     shadow, system = problem.even_start(problem.gram.torus), problem.gram.spectral.system(0, (0, 1))
-    other = system._replace(symbol=system.symbol[..., 1:])
+    narrow = system.symbol._replace(across=system.symbol.across[..., 1:])
+    other = system._replace(symbol=narrow)
     with pytest.raises(ValueError, match="found matrices"):
         in_one_call(problem, system=other)
     with pytest.raises(ValueError, match="found matrices"):

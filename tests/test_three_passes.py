@@ -7,7 +7,7 @@ from displays import SHOWN
 from layerfield import Display
 from layerfield.display_spec import parse_spec
 from layerfield.gram import spectral_of
-from layerfield.kernels import mkl, three_passes
+from layerfield.kernels import three_passes
 from layerfield.kernels.blends import Blend, Shares
 from layerfield.kernels.compiled import plain
 from layerfield.kernels.transforms import transforms_made
@@ -20,7 +20,6 @@ KINDS = [kind for kind in SHOWN if kind not in {"one row", "one layer"}]  # colu
 @pytest.fixture(autouse=True)
 def small_ones_too(monkeypatch):
     monkeypatch.setattr(three_passes, "LARGE", 0)
-    monkeypatch.setattr(mkl, "library", lambda: None)
 
 
 def spectral(kind: str, size: tuple[int, int], dtype: torch.dtype = torch.float32):

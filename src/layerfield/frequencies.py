@@ -17,6 +17,7 @@ from torch import Tensor
 from layerfield.kernels.blends import Blend
 from layerfield.kernels.compiled import serve
 from layerfield.kernels.spectra import LowPart, Pairs, Terms
+from layerfield.kernels.symbols import Symbol, symbol_of
 from layerfield.kernels.systems import System, system_of
 from layerfield.kernels.three_passes import solved_in_three_passes
 
@@ -148,14 +149,14 @@ class Spectral:
         pull, rho = 0 if self.by_row else balance * self.weight, penalty * self.weight
         terms = Terms(rho, pull, gain * rho, kept)
         if isinstance(planes, Blend) and added is not None and apart is None and not self.by_row:
-            made = solved_in_three_passes(planes, self.symbol, terms, added)
+            made = solved_in_three_passes(planes, self._entries, terms, added)
             if made is not None:
                 return made
         pairs, other = Pairs.of(planes, self.by_row), None
         if apart is not None:
             window = apart.grid.window
             other = LowPart(apart.solve(pairs.low(apart.grid.torus) * window), window)
-        pairs.solve_(self.symbol, terms, other)
+        pairs.solve_(self._entries, terms, other)
         return pairs.planes(added)
 
     def solved_frequencies(
@@ -178,7 +179,12 @@ class Spectral:
 
     def system(self, balance: float, bounds: tuple[float, float]) -> System:
         """Return what steps have in common, for compiled loops; see `serves`."""
-        return system_of(self.symbol, self.by_row, self.weight, balance, bounds)
+        return system_of(self._entries, self.by_row, self.weight, balance, bounds)
+
+    @cached_property
+    def _entries(self) -> Symbol:
+        """The symbol for compiled loops."""
+        return symbol_of(self.symbol)
 
     def _resolvent(self, penalty: float, balance: float, gain: float) -> Matrix:
         """Computed once for a penalty: it depends on the display alone."""

@@ -20,7 +20,7 @@ from numba.extending import intrinsic
 
 from layerfield.kernels.radices import LANES, RADICES
 
-_GROUP = 2 * LANES  # numbers of a lane group
+_GROUP = 2 * LANES  # numbers of a lane group, and of what memory is fetched in
 _FLOAT, _INT = ir.FloatType(), ir.IntType(32)
 _VECTOR, _PAIRS = ir.VectorType(_FLOAT, LANES), ir.VectorType(_FLOAT, _GROUP)
 _FREE = ("contract", "reassoc", "nsz", "arcp", "nnan", "ninf")  # as `compiled` has it
@@ -125,12 +125,18 @@ class _Memory:
         self._data = context.make_array(kind)(context, builder, array).data
 
     def read(self, place: Any, kind: ir.Type = _VECTOR) -> Any:
-        return self.builder.load(self._at(place, kind), align=4)
+        return self.builder.load(self.at(place, kind), align=4)
 
     def write(self, value: Any, place: Any) -> None:
-        self.builder.store(value, self._at(place, value.type), align=4)
+        self.builder.store(value, self.at(place, value.type), align=4)
 
-    def _at(self, place: Any, kind: ir.Type) -> Any:
+    def write_past_cache(self, value: Any, place: Any) -> None:
+        """Write whole lines, aligned: what they held before is not fetched."""
+        stored = self.builder.store(value, self.at(place, value.type), align=4 * _GROUP)
+        once = self.builder.module.add_metadata([_INT(1)])
+        stored.set_metadata("nontemporal", once)
+
+    def at(self, place: Any, kind: ir.Type) -> Any:
         return self.builder.bitcast(self.builder.gep(self._data, [place]), kind.as_pointer())
 
 
@@ -295,9 +301,14 @@ def _turn(builder: Any, turns: _Memory, number: Any) -> tuple[_Lanes, _Lanes]:
     place, found = builder.mul(number, number.type(2)), list[_Lanes]()
     for part in range(2):
         value = turns.read(builder.add(place, place.type(part)), _FLOAT)
-        one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), value, _INT(0))
-        found.append(_Lanes(builder, _shuffled(builder, one, one, [0] * LANES)))
+        found.append(_Lanes(builder, _everywhere(builder, value)))
     return found[0], found[1]
+
+
+def _everywhere(builder: Any, number: Any) -> Any:
+    """Return a number in all lanes."""
+    one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), number, _INT(0))
+    return _shuffled(builder, one, one, [0] * LANES)
 
 
 def _offsets(builder: Any, swapped: Any) -> tuple[Any, Any]:
@@ -342,6 +353,36 @@ def take_groups(
 
 @intrinsic
 @_loop
+def put_groups(builder: Any, seen: _Memory, begin: Any, made: _Memory, place: Any) -> None:
+    """Put eight lane groups, one behind the other, turned as `take_groups` does, past the cache."""
+    parts = list[list[Any]]()
+    for offset in (0, LANES):
+        places = (builder.add(begin, begin.type(_GROUP * n + offset)) for n in range(LANES))
+        parts.append(_transposed(builder, [seen.read(at) for at in places]))
+    for number, (real, imaginary) in enumerate(zip(*parts, strict=True)):
+        value = _shuffled(builder, real, imaginary, [*range(_GROUP)])
+        made.write_past_cache(value, builder.add(place, place.type(_GROUP * number)))
+
+
+@intrinsic
+@_loop
+def put_past_cache(builder: Any, seen: _Memory, made: _Memory, count: Any) -> None:
+    """Copy so many numbers from the first on, whole lines of them."""
+    whole = count.type
+    span = whole(0), count, whole(_GROUP), whole
+    with cgutils.for_range_slice(builder, *span) as (at, _):
+        made.write_past_cache(seen.read(at, _PAIRS), at)
+
+
+@intrinsic
+@_loop
+def settle(builder: Any) -> None:
+    """Have what passed by the cache arrive before what other threads are told afterwards."""
+    builder.fence("seq_cst")
+
+
+@intrinsic
+@_loop
 def swap_group(builder: Any, seen: _Memory, begin: Any, made: _Memory, place: Any) -> None:
     """Put a lane group somewhere else, with imaginary and real parts in each other's place."""
     far = begin.type(LANES)
@@ -352,9 +393,25 @@ def swap_group(builder: Any, seen: _Memory, begin: Any, made: _Memory, place: An
 
 @intrinsic
 @_loop
-def take_lanes(builder: Any, seen: _Memory, begin: Any, made: _Memory, place: Any) -> None:
-    """Copy eight numbers."""
-    made.write(seen.read(begin), place)
+def take_lanes(
+    builder: Any, seen: _Memory, begin: Any, factor: Any, made: _Memory, place: Any
+) -> None:
+    """Copy eight numbers, multiplied."""
+    lanes = _Lanes(builder, seen.read(begin)) * _Lanes(builder, _everywhere(builder, factor))
+    made.write(lanes.value, place)
+
+
+@intrinsic
+@_loop
+def ask_for(builder: Any, seen: _Memory, begin: Any, count: Any) -> None:
+    """Have memory fetched while something else is done: so many numbers from one on."""
+    place, number = ir.IntType(8).as_pointer(), _INT
+    kind = ir.FunctionType(ir.VoidType(), [place, number, number, number])
+    fetch = builder.module.declare_intrinsic("llvm.prefetch", [place], kind)
+    to_read, second_cache, data = number(0), number(2), number(1)
+    span = begin, builder.add(begin, count), begin.type(_GROUP), begin.type
+    with cgutils.for_range_slice(builder, *span) as (at, _):
+        builder.call(fetch, [seen.at(at, ir.IntType(8)), to_read, second_cache, data])
 
 
 @intrinsic

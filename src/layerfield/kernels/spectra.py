@@ -33,6 +33,7 @@ from torch import Tensor
 from layerfield.kernels.blends import Blend
 from layerfield.kernels.compiled import compiled
 from layerfield.kernels.planes import transformed, transformed_back
+from layerfield.kernels.symbols import Symbol, row_of
 
 _HALF, _ONE = np.float32(0.5), np.float32(1)  # whole numbers would make the rest double
 
@@ -102,7 +103,7 @@ class Pairs:
 
     def solve_(
         self,
-        symbol: Float[Tensor, "layer layer fy fx"],
+        symbol: Symbol,
         terms: Terms,
         low: LowPart | None = None,
     ) -> None:
@@ -126,7 +127,7 @@ class Pairs:
             other = numbers_of(low.spectrum * factor, number, channels)
             window = low.window.expand(other.shape[-2], -1).numpy()
         rows = height if self.by_row else height // 2 + 1
-        given = (seen, symbol.numpy(), turns_of(2 * half), known, other, window, self.by_row)
+        given = (seen, symbol, turns_of(2 * half), known, other, window, self.by_row)
         solve_rows.in_spans(*given, count=rows, numbers=seen.size)
 
     def low(self, torus: tuple[int, int]) -> Complex[Tensor, "*batch fy fx"]:
@@ -189,8 +190,10 @@ def solve_rows(spectrum, symbol, turns, terms, other, window, by_row, begin, end
         if y == begin or not by_row:
             for k in range(number):
                 for m in range(k, number):
-                    _read(low[k, m], symbol[k, m, 0 if by_row else y])
-                    _read_back(high[k, m], symbol[k, m, 0 if by_row else opposite])
+                    row, factor = row_of(symbol, k, m, 0 if by_row else y)
+                    _read_times(low[k, m], row, factor)
+                    row, factor = row_of(symbol, k, m, 0 if by_row else opposite)
+                    _read_back(high[k, m], row, factor)
             invert(low, terms, y == 0)
             invert(high, terms, False)
             for k in range(number):
@@ -315,11 +318,17 @@ def _read(entry, row):
 
 
 @compiled
-def _read_back(entry, row):
+def _read_times(entry, row, factor):
+    for x in range(len(entry)):
+        entry[x] = factor * row[x]
+
+
+@compiled
+def _read_back(entry, row, factor):
     """The last comes first: frequency W / 2 is that of fx = 0."""
     last = np.uintp(len(entry))  # a whole number that may be negative would keep loops scalar
     for x in range(last):
-        entry[x] = row[last - x]
+        entry[x] = factor * row[last - x]
 
 
 @compiled

@@ -4,12 +4,11 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
-from torch import Tensor
 
 from layerfield.kernels.blends import Shares
 from layerfield.kernels.compiled import compiled
 from layerfield.kernels.spectra import Terms, Turns, turns_of
+from layerfield.kernels.symbols import Symbol
 
 _ZERO: Any = np.float32(0)  # numbers as all others are: whole ones would make them double
 _ONE: Any = np.float32(1)
@@ -31,7 +30,7 @@ class System(NamedTuple):
         by_row: whether rows are transformed by themselves.
     """
 
-    symbol: np.ndarray
+    symbol: Symbol
     turns: Turns
     weight: np.float32
     pull: np.float32
@@ -41,7 +40,7 @@ class System(NamedTuple):
 
 
 def system_of(
-    symbol: Float[Tensor, "layer layer fy fx"],
+    symbol: Symbol,
     by_row: bool,
     weight: float,
     balance: float,
@@ -50,7 +49,7 @@ def system_of(
     """Return the system for compiled loops.
 
     Args:
-        symbol: G(f), of single precision, on a processor, of an even width.
+        symbol: G(f), of an even width.
         by_row: whether rows are transformed by themselves.
         weight: W, of all views together.
         balance: share of it, of the term for frequency zero; not of rows by themselves.
@@ -58,7 +57,7 @@ def system_of(
     """
     pull = 0 if by_row else balance * weight
     low, high = (np.float32(each) for each in bounds)
-    known = symbol.numpy(), turns_of(2 * (symbol.shape[-1] - 1))
+    known = symbol, turns_of(2 * (symbol.shape[-1] - 1))
     return System(*known, np.float32(weight), np.float32(pull), low, high, by_row)
 
 

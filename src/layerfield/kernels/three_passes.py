@@ -3,7 +3,9 @@
 Rows are summed up and transformed, eight at a time; then columns are transformed, multiplied, and
 transformed back while those of all layers are in the cache; then rows are transformed back, and
 summed up with what else there is. What is between passes is X, the spectrum of real rows, in lane
-groups (see `lanes`): frequencies 0 to W / 2.
+groups (see `lanes`): frequencies 0 to W / 2, eight at a time from the first row to the last, so
+that columns are read as they lie in memory. Rows are asked for while those before them are
+transformed, and what is written is not fetched first.
 
 Planes one after the other, as `planes` and `spectra` have them, go over memory twice as often.
 Where they fit into the cache that costs nothing.
@@ -18,15 +20,17 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.kernels import mkl
 from layerfield.kernels.blends import Blend, blend_row, planes_of
 from layerfield.kernels.compiled import compiled, native
 from layerfield.kernels.fourier import transform_groups, turns_of_length
 from layerfield.kernels.radices import LANES, radices_of
 from layerfield.kernels.spectra import Terms, invert, refuse_other_matrices
+from layerfield.kernels.symbols import Symbol, row_of
 from layerfield.kernels.transforms import note_transform
 
 _GROUP = 2 * LANES
+_LINE = 4 * _GROUP  # bytes that memory is fetched in
+_APART = 1  # times eight rows between columns: in powers of two, caches put them in one place
 LARGE = 1 << 20  # pixels of a plane from which on memory is what takes time
 
 
@@ -50,7 +54,7 @@ class _Plan(NamedTuple):
 
 def solved_in_three_passes(
     planes: Blend,
-    symbol: Float[Tensor, "layer layer fy fx"],
+    symbol: Symbol,
     terms: Terms,
     added: Blend,
 ) -> Float[Tensor, "*batch layer c ty tx"] | None:
@@ -71,13 +75,15 @@ def solved_in_three_passes(
     pairs = (*planes.shadow.shape[:-1], width // 2)
     refuse_other_matrices(symbol.shape, number, pairs, by_row=False)
     plan = _plan(height, width)
-    if height * width < LARGE or plan is None or mkl.library() is not None:
+    if height * width < LARGE or plan is None:
+        return None
+    groups = math.ceil((width // 2 + 1) / LANES)
+    items, tiles = math.prod(batch), math.ceil(height / LANES)
+    work = torch.empty(items, number, channels, groups, (tiles + _APART) * LANES * _GROUP).numpy()
+    if not _is_aligned(work):
         return None
     for back in (False, True):
         note_transform(pairs, by_row=False, back=back)
-    groups = math.ceil((width // 2 + 1) / LANES)
-    items, tiles = math.prod(batch), math.ceil(height / LANES)
-    work = torch.empty(items, number, channels, tiles * LANES, groups * _GROUP).numpy()
     count, numbers = items * number * channels * tiles, planes.shadow.numel()
     flat = work.reshape(-1, *work.shape[-2:])
     _rows_forth.in_spans(flat, planes.sum(), plan, count=count, numbers=numbers)
@@ -85,11 +91,17 @@ def solved_in_three_passes(
     kept, gain = terms.kept * factor, terms.gain * factor
     given = Terms._make(map(np.float32, terms._replace(gain=gain, kept=kept)))
     count_solved = groups * items * channels
-    _columns_solved.in_spans(work, symbol.numpy(), given, plan, count=count_solved, numbers=numbers)
+    _columns_solved.in_spans(work, symbol, given, plan, count=count_solved, numbers=numbers)
     result = torch.empty(planes.shadow.shape)
     made = planes_of(result)
-    _rows_back.in_spans(made, flat, added.sum(), plan, count=count, numbers=numbers)
+    last = made, flat, added.sum(), plan, _is_aligned(made)
+    _rows_back.in_spans(*last, count=count, numbers=numbers)
     return result
+
+
+def _is_aligned(array: np.ndarray) -> bool:
+    """Whether all rows of contiguous single precision begin with a line of the cache."""
+    return array.ctypes.data % _LINE == 0 and 4 * array.shape[-1] % _LINE == 0
 
 
 @lru_cache(maxsize=16)
@@ -100,9 +112,13 @@ def _plan(height: int, width: int) -> _Plan | None:
     return _Plan(across, down, *(turns_of_length(n) for n in (width // 2, height, width)))
 
 
+_ask_for = native("layerfield.kernels.lanes", "ask_for")
 _take_rows = native("layerfield.kernels.lanes", "take_rows")
 _put_rows = native("layerfield.kernels.lanes", "put_rows")
 _take_groups = native("layerfield.kernels.lanes", "take_groups")
+_put_groups = native("layerfield.kernels.lanes", "put_groups")
+_put_past_cache = native("layerfield.kernels.lanes", "put_past_cache")
+_settle = native("layerfield.kernels.lanes", "settle")
 _take_lanes = native("layerfield.kernels.lanes", "take_lanes")
 _add_products = native("layerfield.kernels.lanes", "add_products")
 _swap_group = native("layerfield.kernels.lanes", "swap_group")
@@ -114,10 +130,11 @@ _spectrum_to_pairs = native("layerfield.kernels.lanes", "spectrum_to_pairs")
 def _rows_forth(work, known, plan, begin, end):
     """Eight rows at a time, from and to: of all planes, one after the other."""
     height, half = known.shadow.shape[1], known.shadow.shape[2] // 2
-    tiles, pitch = work.shape[1] // LANES, work.shape[2]
-    groups = (half + LANES - 1) // LANES
+    columns, step = work.shape[1], work.shape[2]
+    tiles, groups = (height + LANES - 1) // LANES, (half + LANES - 1) // LANES
     rows = np.zeros((LANES + 1, 2 * half), np.float32)  # the last group may reach past a row
-    one, other = np.zeros(LANES * pitch, np.float32), np.zeros(LANES * pitch, np.float32)
+    length = columns * LANES * _GROUP
+    one, other = np.zeros(length, np.float32), np.zeros(length, np.float32)
     for number in range(begin, end):
         plane, tile = divmod(number, tiles)
         for y in range(min(LANES, height - tile * LANES)):
@@ -126,32 +143,40 @@ def _rows_forth(work, known, plan, begin, end):
         for group in range(groups):
             place = group * _GROUP
             _take_rows(seen, place, 2 * half, one, place * LANES, False)
+        if number + 1 < end:
+            _ask_for_rows(known, number + 1, tiles)
         turns = plan.turns_across
         is_in_one = transform_groups(plan.across, half, one, 0, _GROUP, other, one, turns)
         values = one if is_in_one else other
         for x in range(half // 2 + 1):
             near, far = x * _GROUP, (half - x) * _GROUP
             _pairs_to_spectrum(values, near, far if x > 0 else 0, far, plan.turns, x)
-        for group in range(pitch // _GROUP):
-            place = group * _GROUP
-            there = tile * LANES * pitch + place
-            _put_rows(values, place * LANES, made, there, pitch, False, True)
+        for column in range(columns):
+            place = column * LANES * _GROUP
+            there = column * step + tile * LANES * _GROUP
+            _put_groups(values, place, made, there)
+    _settle()
 
 
 @compiled
-def _rows_back(planes, work, known, plan, begin, end):
+def _rows_back(planes, work, known, plan, is_aligned, begin, end):
     """Eight rows at a time, from and to: of all planes, one after the other."""
     height, half = planes.shape[1], planes.shape[2] // 2
-    tiles, pitch = work.shape[1] // LANES, work.shape[2]
-    groups = (half + LANES - 1) // LANES
+    columns, step = work.shape[1], work.shape[2]
+    tiles, groups = (height + LANES - 1) // LANES, (half + LANES - 1) // LANES
     rows = np.zeros((LANES + 1, 2 * half), np.float32)  # the last group may reach past a row
-    one, other = np.zeros(LANES * pitch, np.float32), np.zeros(LANES * pitch, np.float32)
+    length = columns * LANES * _GROUP
+    one, other = np.zeros(length, np.float32), np.zeros(length, np.float32)
     for number in range(begin, end):
         plane, tile = divmod(number, tiles)
         seen, made = work[plane].reshape(-1), rows.reshape(-1)
-        for group in range(pitch // _GROUP):
-            place = group * _GROUP
-            _take_groups(seen, tile * LANES * pitch + place, pitch, one, place * LANES)
+        for column in range(columns):
+            place = column * LANES * _GROUP
+            there = column * step + tile * LANES * _GROUP
+            _take_groups(seen, there, _GROUP, one, place)
+        if number + 1 < end:
+            _ask_for_groups(work, number + 1, tiles)
+            _ask_for_rows(known, number + 1, tiles)
         for x in range(half // 2 + 1):
             _spectrum_to_pairs(one, x * _GROUP, (half - x) * _GROUP, plan.turns, x)
         turns = plan.turns_across
@@ -162,15 +187,37 @@ def _rows_back(planes, work, known, plan, begin, end):
             _put_rows(values, place * LANES, made, place, 2 * half, True, False)
         for y in range(min(LANES, height - tile * LANES)):
             row = planes[plane, tile * LANES + y]
-            _copy(row, rows[y])
-            blend_row(row, known, plane, tile * LANES + y, False)
+            blend_row(rows[y], known, plane, tile * LANES + y, False)
+            if is_aligned:
+                _put_past_cache(rows[y], row, 2 * half)
+            else:
+                _copy(row, rows[y])
+    _settle()
+
+
+@compiled
+def _ask_for_groups(work, number, tiles):
+    """Those of eight rows."""
+    plane, tile = divmod(number, tiles)
+    for column in range(work.shape[1]):
+        _ask_for(work[plane, column], tile * LANES * _GROUP, LANES * _GROUP)
+
+
+@compiled
+def _ask_for_rows(known, number, tiles):
+    """Eight of what is added up."""
+    plane, tile = divmod(number, tiles)
+    for y in range(tile * LANES, min((tile + 1) * LANES, known.shadow.shape[1])):
+        _ask_for(known.shadow[plane, y], 0, known.shadow.shape[2])
+        if y < known.other.shape[1]:
+            _ask_for(known.other[plane, y], 0, known.other.shape[2])
 
 
 @compiled
 def _columns_solved(work, symbol, terms, plan, begin, end):
     """Eight columns at a time, from and to: of all layers of one channel, one after the other."""
-    items, number, channels, _, pitch = work.shape
-    height = symbol.shape[2]
+    items, number, channels = work.shape[:3]
+    height = symbol.down.shape[2]
     inverse = np.zeros((number, number, height * LANES), np.float32)
     seen = np.zeros((number, height * _GROUP), np.float32)
     one, other = np.zeros(height * _GROUP, np.float32), np.zeros(height * _GROUP, np.float32)
@@ -179,19 +226,18 @@ def _columns_solved(work, symbol, terms, plan, begin, end):
     for place in range(begin, end):
         tile, rest = divmod(place, items * channels)
         item, channel = divmod(rest, channels)
-        first = tile * _GROUP
         if tile != last:
             for k in range(number):
                 for m in range(k, number):
-                    _read_columns(inverse[k, m], symbol[k, m], tile * LANES)
+                    _read_columns(inverse[k, m], symbol, k, m, tile * LANES)
             invert(inverse, terms, tile == 0)
             for k in range(number):
                 for m in range(k):
                     _copy(inverse[k, m], inverse[m, k])
             last = tile
         for k in range(number):
-            there, made = work[item, k, channel].reshape(-1), seen[k]
-            if not transform_groups(plan.down, height, there, first, pitch, other, made, turns):
+            there, made = work[item, k, channel, tile], seen[k]
+            if not transform_groups(plan.down, height, there, 0, _GROUP, other, made, turns):
                 _copy(made, other)
         for k in range(number):
             step, stride, row = height * LANES, height * _GROUP, k * number * height * LANES
@@ -200,22 +246,22 @@ def _columns_solved(work, symbol, terms, plan, begin, end):
                 _add_products(entries, entry, step, values, group, stride, number, other, group)
             is_in_other = transform_groups(plan.down, height, other, 0, _GROUP, one, other, turns)
             made = other if is_in_other else one
-            there = work[item, k, channel].reshape(-1)
+            there = work[item, k, channel, tile]
             for y in range(height):
-                _swap_group(made, y * _GROUP, there, y * pitch + first)
+                _swap_group(made, y * _GROUP, there, y * _GROUP)
 
 
 @compiled
-def _read_columns(entry, rows, first):
+def _read_columns(entry, symbol, k, m, first):
     """Frequencies past the highest do not count."""
-    seen, columns = rows.reshape(-1), rows.shape[1]
-    if first + LANES <= columns:
-        for y in range(len(rows)):
-            _take_lanes(seen, y * columns + first, entry, y * LANES)
-    else:
-        for y in range(len(rows)):
+    columns = symbol.across.shape[2]
+    for y in range(symbol.down.shape[2]):
+        row, factor = row_of(symbol, k, m, y)
+        if first + LANES <= columns:
+            _take_lanes(row, first, factor, entry, y * LANES)
+        else:
             for x in range(columns - first):
-                entry[y * LANES + x] = rows[y, first + x]
+                entry[y * LANES + x] = factor * row[first + x]
 
 
 @compiled

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.kept_views import LARGEST, KeptViews
-from layerfield.kernels.compiled import compiled, is_plain
+from layerfield.kernels.compiled import compiled, is_plain, native
 from layerfield.links import Additive, Link, Multiplicative
 from layerfield.projection import Projection
 
@@ -37,12 +37,16 @@ _SLOPE = Shares()
 
 
 class _Taps(NamedTuple):
-    """`Projection.taps` as arrays; of windows that are fewer than the most the rest is unused."""
+    """`Projection.taps` as arrays; of windows that are fewer than the most the rest is unused.
+
+    A view looks at the pixels of a layer as they are, or between them.
+    """
 
     top: np.ndarray
     left: np.ndarray
     weight: np.ndarray
     windows: np.ndarray
+    is_whole: np.ndarray
 
 
 class _Views(NamedTuple):
@@ -62,8 +66,12 @@ class _Sums(NamedTuple):
 
 
 class _Law(NamedTuple):
-    """What is added: shares of what is shown and to be shown, whether it is a product, layers."""
+    """What is added: shares of what is shown and to be shown, whether it is a product, layers.
 
+    There is a 0 for each layer of the display: their number is known when loops are compiled.
+    """
+
+    each: tuple[int, ...]
     of_shown: np.float32
     of_light: np.float32
     is_product: bool
@@ -140,6 +148,7 @@ class LightPaths:
         squares = _planes(first)[:0] if second is None else _planes(second.view_as(first))
         sums = _Sums(_planes(first), squares, np.zeros((batch, channels, bands)))
         law = _Law(
+            (0,) * number,
             np.float32(shares.shown),
             np.float32(shares.light / self._unit),
             isinstance(self.link, Multiplicative),
@@ -187,6 +196,7 @@ def _taps(projection: Projection) -> _Taps:
         np.zeros(shape, dtype=np.int64),
         np.zeros(shape, dtype=np.float32),
         np.zeros(shape[:2], dtype=np.int64),
+        np.array([[len(taps) == 1 and taps[0][2] == 1 for taps in layers] for layers in known]),
     )
     for i, layers in enumerate(known):
         for k, taps in enumerate(layers):
@@ -194,6 +204,10 @@ def _taps(projection: Projection) -> _Taps:
             for n, (top, left, weight) in enumerate(taps):
                 found.top[i, k, n], found.left[i, k, n], found.weight[i, k, n] = top, left, weight
     return found
+
+
+_ask_for = native("layerfield.kernels.path_lanes", "ask_for")
+_follow = native("layerfield.kernels.path_lanes", "follow")
 
 
 @compiled
@@ -209,112 +223,106 @@ def _add_bands(layers, views, taps, sums, law, rows, parity, begin, end):
 
 @compiled
 def _add_band(layers, views, taps, sums, law, rows, place):
-    """Add what paths through a band of rows of the views bring to one channel of the layers.
-
-    Loops over pixels are simple ones on whole rows, and outer ones go up: others stay scalar.
-    """
+    """Add what paths through a band of rows of the views bring to one channel of the layers."""
     item, channel, band = place
-    top, left, share, windows = taps.top, taps.left, taps.weight, taps.windows
-    first, second, stored, table = sums.first, sums.second, views.stored, views.table
-    number, height, width = layers.shape[1], stored.shape[3], stored.shape[4]
+    number, height, width = layers.shape[1], views.stored.shape[3], views.stored.shape[4]
+    chosen, is_twice = law.end - law.begin, len(sums.second) > 0
     pixels = np.zeros((number, width), layers.dtype)
-    slopes = np.ones((number, width), layers.dtype)
-    value = np.zeros(width, layers.dtype)
+    parts = np.zeros((2, chosen, width), layers.dtype)
+    light = np.zeros(width, layers.dtype)
+    seen, first = np.zeros(number, np.int64), np.zeros(number, np.int64)
+    second = np.zeros(number, np.int64)
+    how = (4 if law.is_product else 0) + (2 if chosen < number else 0) + (1 if is_twice else 0)
     error = 0.0
+    is_seen = law.is_product or law.of_shown != 0
+    for n in range(number):
+        seen[n] = pixels[n].ctypes.data
     for y in range(band * rows, min(height, (band + 1) * rows)):
         for i in range(len(views.weights)):
-            weight = views.weights[i]
-            for k in range(number if law.is_product or law.of_shown != 0 else 0):
-                for n in range(windows[i, k]):
-                    x0, y0 = left[i, k, n], y + top[i, k, n]
-                    row = layers[item, k, channel, y0, x0 : x0 + width]
-                    _look(pixels[k], row, share[i, k, n], n > 0)
-            if law.is_product:
-                _multiply(pixels, slopes, value)
-            else:
-                _add(pixels, value)
-            _compare(value, stored[item, i, channel, y], table, law.of_shown, law.of_light)
+            for n in range(number if is_seen else 0):
+                k = (law.begin + n) % number  # the only one that is added to comes first
+                seen[n] = _look(pixels[n], layers[item, k, channel], taps, i, k, y)
+            for n in range(chosen):
+                k = law.begin + n
+                first[n] = _begin(parts[0, n], sums.first[item, n, channel], taps, i, k, y)
+                if is_twice:
+                    second[n] = _begin(parts[1, n], sums.second[item, n, channel], taps, i, k, y)
+            _read(light, views.stored[item, i, channel, y], views.table, law.of_light)
+            if i + 1 < len(views.weights):
+                _ask_for(*_row_of(views.stored[item, i + 1, channel, y]))
+            given, weight = (seen, first, second, light.ctypes.data, width), views.weights[i]
+            square = _follow(law.each, *given, law.of_shown, weight, how)
             if law.every > 0 and i % law.every == 0:
-                error += weight * _square(value)
-            for k in range(law.begin, law.end):
-                for n in range(windows[i, k]):
-                    x0, y0, w = left[i, k, n], y + top[i, k, n], weight * share[i, k, n]
-                    row = first[item, k - law.begin, channel, y0, x0 : x0 + width]
-                    _add_product(row, slopes[k], value, w)
-                    if len(second) > 0:
-                        row = second[item, k - law.begin, channel, y0, x0 : x0 + width]
-                        _add_product(row, slopes[k], slopes[k], w)
+                error += weight * square
+            for n in range(chosen):
+                k = law.begin + n
+                _spread(parts[0, n], sums.first[item, n, channel], taps, i, k, y)
+                if is_twice:
+                    _spread(parts[1, n], sums.second[item, n, channel], taps, i, k, y)
     sums.errors[item, channel, band] = error
 
 
 @compiled
-def _look(pixels, row, share, further):
-    """Find a share of the pixels that are looked at, or a further one."""
-    if further:
-        for x in range(len(pixels)):
-            pixels[x] += share * row[x]
-    else:
-        for x in range(len(pixels)):
-            pixels[x] = share * row[x]
+def _look(pixels, plane, taps, i, k, y):
+    """Return where the pixels are that are looked at: found first, if they lie between others."""
+    if taps.is_whole[i, k]:
+        return _place(plane, taps, i, k, y)
+    pixels[:] = 0
+    for n in range(taps.windows[i, k]):
+        _add_share(pixels, _row(plane, taps, i, k, y, n), taps.weight[i, k, n])
+    return pixels.ctypes.data
 
 
 @compiled
-def _add(pixels, value):
-    """Find the sum; its slopes are 1."""
-    for x in range(len(value)):
-        value[x] = pixels[0, x]
-    for k in range(1, len(pixels)):
-        met = pixels[k]
-        for x in range(len(value)):
-            value[x] += met[x]
+def _begin(part, plane, taps, i, k, y):
+    """Return where to add: to the pixels themselves, or to what is then spread over them."""
+    if taps.is_whole[i, k]:
+        return _place(plane, taps, i, k, y)
+    part[:] = 0
+    return part.ctypes.data
 
 
 @compiled
-def _multiply(pixels, slopes, value):
-    """Find the product, and its slopes: what is in front of a layer times what is behind it."""
-    number, width = pixels.shape
-    for k in range(1, number):
-        met, before, slope = pixels[k - 1], slopes[k - 1], slopes[k]
-        for x in range(width):
-            slope[x] = met[x]
-        if k > 1:
-            for x in range(width):
-                slope[x] *= before[x]
-    met = pixels[number - 1]
-    for x in range(width):
-        value[x] = met[x]
-    for n in range(2, number + 1):
-        met, slope = pixels[number - n], slopes[number - n]
-        if n < number:
-            for x in range(width):
-                slope[x] *= value[x]
-        else:
-            for x in range(width):
-                slope[x] = value[x]
-        for x in range(width):
-            value[x] *= met[x]
+def _spread(part, plane, taps, i, k, y):
+    """Add to the pixels what did not go there by itself."""
+    if not taps.is_whole[i, k]:
+        for n in range(taps.windows[i, k]):
+            row = _row(plane, taps, i, k, y, n)
+            _add_share(row, part, taps.weight[i, k, n])
 
 
 @compiled
-def _compare(value, light, table, of_shown, of_light):
-    """Weigh what is shown against what is to be shown."""
+def _place(plane, taps, i, k, y):
+    """Return where the row of the only window is."""
+    pixel = (y + taps.top[i, k, 0]) * plane.shape[1] + taps.left[i, k, 0]
+    return plane.ctypes.data + pixel * plane.itemsize
+
+
+@compiled
+def _row(plane, taps, i, k, y, n):
+    """Return the row of a window, from its first pixel on."""
+    return plane[y + taps.top[i, k, n], taps.left[i, k, n] :]
+
+
+@compiled
+def _row_of(row):
+    """Return where a row is, and how many bytes it has."""
+    return np.int64(row.ctypes.data), row.size * row.itemsize
+
+
+@compiled
+def _read(light, row, table, of_light):
+    """Weigh what is to be shown."""
     if len(table) > 0:
-        for x in range(len(value)):
-            value[x] = of_shown * value[x] + of_light * table[np.int64(light[x])]
+        for x in range(len(light)):
+            light[x] = of_light * table[np.int64(row[x])]
     else:
-        for x in range(len(value)):
-            value[x] = of_shown * value[x] + of_light * light[x]
+        for x in range(len(light)):
+            light[x] = of_light * row[x]
 
 
 @compiled
-def _square(value):
-    total = np.float32(0)
-    for x in range(len(value)):
-        total += value[x] * value[x]
-    return total
-
-
-@compiled
-def _add_product(row, one, other, share):
-    for x in range(len(row)):
-        row[x] += share * one[x] * other[x]
+def _add_share(row, other, share):
+    """Of rows that may be of other lengths."""
+    for x in range(min(len(row), len(other))):
+        row[x] += share * other[x]

@@ -96,12 +96,32 @@ def test_light_fields_of_a_batch_do_not_mix(link, batch):
 
 @pytest.mark.parametrize("link", ["additive", "multiplicative"])
 @pytest.mark.parametrize("kind", SHOWN)
-def test_a_sweep_is_that_of_pytorch(kind, link):
+def test_the_best_layer_is_that_of_pytorch(kind, link):
     problem, layers = posed(kind, link, batch=(2,))
     for index in range(problem.layer_count):
         found = sweeps.best_layer(problem, layers, index)
         with plain():
             assert same(found, sweeps.best_layer(problem, layers, index))
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+@pytest.mark.parametrize("link", ["additive", "multiplicative"])
+def test_sweeps_are_those_of_pytorch(link, threads):
+    """From layers where a light field of two goes uphill in between, and starts anew."""
+    torch.set_num_threads(threads)
+    problem, layers = posed("two layers, fractions", link, batch=(2,))
+    solver = sweeps.Sweeps()
+    state, counts = solver.init(problem, layers), list[torch.Tensor]()
+    state = replace(state, ahead=torch.stack([layers[0], 1 - layers[1]]))
+    for _ in range(5):
+        with plain():
+            expected = solver.step(problem, state)
+        state = solver.step(problem, state)
+        assert same(state.layers, expected.layers)
+        assert same(state.ahead, expected.ahead)
+        assert torch.equal(state.count, expected.count)
+        counts.append(state.count.flatten())
+    assert len({tuple(each.tolist()) for each in counts}) > 1
 
 
 def test_a_multiplicative_update_is_that_of_pytorch():

@@ -6,10 +6,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from layerfield.kernels import sweep_passes
 from layerfield.kernels.light_paths import Shares
 from layerfield.solve import Problem
 
 _ALL = (-5, -4, -3, -2, -1)  # directions of the layers of a light field
+_LEFT = Shares(shown=-1, light=1)  # what is to be shown, less what is
 _PASSES = 3  # through several subframes of a layer in a step; they cost nothing per view
 
 
@@ -54,14 +56,31 @@ class Sweeps:
 
     def step(self, problem: Problem, state: SweepsState) -> SweepsState:
         layers = state.ahead.clone()
+        if _are_served(problem, layers, state.layers):
+            return self._step_compiled(problem, state, layers)
         for k in range(problem.layer_count):
             layers[..., k, :, :, :] = best_layer(problem, layers, k)
         moved = layers - state.layers
         uphill = ((state.ahead - layers) * moved).sum(dim=_ALL, keepdim=True) > 0
-        count = torch.where(uphill, 1, state.count + 1)
-        push = (2 * (count - 1) / (count + 2)).clamp(max=self.momentum)
+        count, push = self._push(state, uphill)
         ahead = moved.mul_(push).add_(layers).clamp_(*problem.bounds)
         return SweepsState(layers, ahead, count)
+
+    def _step_compiled(self, problem: Problem, state: SweepsState, layers: Tensor) -> SweepsState:
+        """Do the same with compiled passes; the layers, where the sweep begins, are written on."""
+        slope, curvature = (torch.zeros_like(layers[..., :1, :, :, :]) for _ in range(2))
+        for k in range(problem.layer_count):
+            problem.light_paths.add_up_(slope, layers, shares=_LEFT, second=curvature, only=k)
+            sweep_passes.move_layer_(layers, k, slope, curvature, problem.bounds)
+        uphill = sweep_passes.leads_uphill(state.ahead, layers, state.layers)
+        count, push = self._push(state, uphill)
+        ahead = sweep_passes.extrapolated(layers, state.layers, push, problem.bounds)
+        return SweepsState(layers, ahead, count)
+
+    def _push(self, state: SweepsState, uphill: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the sweeps since a restart, and the extrapolation behind so many."""
+        count = torch.where(uphill, 1, state.count + 1)
+        return count, (2 * (count - 1) / (count + 2)).clamp(max=self.momentum)
 
     def layers(
         self, problem: Problem, state: SweepsState
@@ -89,6 +108,14 @@ def best_layer(
     return best
 
 
+def _are_served(problem: Problem, *layers: Tensor) -> bool:
+    """Whether compiled loops find normal equations, and go by them."""
+    paths = problem.light_paths
+    return not problem.link.bend and all(
+        each.is_contiguous() and paths.serve(each) for each in layers
+    )
+
+
 def _step(slope: Tensor, curvature: Tensor) -> Tensor:
     """Pixels that influence nothing stay."""
     return torch.where(curvature > 0, slope / curvature.clamp(min=1e-12), 0)
@@ -99,11 +126,9 @@ def _normal_equations(
 ) -> tuple[list[Tensor], list[list[Tensor]]]:
     """Return A_k^T W o (L - link(P)), by subframe, and A_k^T W o o^T A_k 1 with its damping."""
     projection, link, count = problem.projection, problem.link, layers.shape[-5]
-    paths = problem.light_paths
-    if not link.bend and paths.serve(layers):
+    if _are_served(problem, layers):
         first, second = (torch.zeros_like(layers[..., :1, :, :, :]) for _ in range(2))
-        shares = Shares(shown=-1, light=1)
-        paths.add_up_(first, layers, shares=shares, second=second, only=index)
+        problem.light_paths.add_up_(first, layers, shares=_LEFT, second=second, only=index)
         return [first[..., 0, 0, :, :, :]], [[second[..., 0, 0, :, :, :]]]
     empty = layers[..., 0, index, :, :, :]
     slope = [torch.zeros_like(empty) for _ in range(count)]

@@ -1,0 +1,143 @@
+"""What a sweep is made of but the normal equations: a pass for every layer, and two behind all."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from layerfield.kernels.compiled import compiled
+
+Layers = Float[Tensor, "*batch 1 layer c ly lx"]
+One = Float[Tensor, "*batch 1 1 c ly lx"]
+
+_ZERO = np.float32(0)
+
+
+class _Bounds(NamedTuple):
+    low: np.float32
+    high: np.float32
+
+
+def move_layer_(
+    layers: Layers, index: int, slope: One, curvature: One, bounds: tuple[float, float]
+) -> None:
+    """Move one layer to clamp(P + slope / curvature), in place; both of these are 0 afterwards.
+
+    Pixels without curvature influence nothing, and stay.
+
+    Args:
+        layers: P; contiguous, of single precision, on a processor, as all others.
+        index: of the layer.
+        slope: what to go against, per pixel.
+        curvature: of the error.
+        bounds: of pixels.
+    """
+    planes, *given = (_by_layer(each) for each in (layers, slope, curvature))
+    known = _bounds(bounds)
+    rows, numbers = math.prod(given[0].shape[:-1]), 3 * slope.numel()
+    _move_rows.in_spans(planes, index, *given, known, count=rows, numbers=numbers)
+
+
+def leads_uphill(ahead: Layers, layers: Layers, last: Layers) -> Bool[Tensor, "*batch 1 1 1 1 1"]:
+    """Return whether a sweep went back: whether (A - P) (P - P of one sweep ago) is above 0.
+
+    Args:
+        ahead: A, where the sweep began.
+        layers: P, where it ended.
+        last: where the one before it ended.
+    """
+    seen = [_by_row(each) for each in (ahead, layers, last)]
+    sums = np.empty(seen[0].shape[:2])
+    _multiply_rows.in_spans(sums, *seen, count=sums.size, numbers=3 * layers.numel())
+    found = torch.from_numpy(sums.sum(axis=1) > 0)
+    return found.view(*layers.shape[:-5], 1, 1, 1, 1, 1)
+
+
+def extrapolated(
+    layers: Layers,
+    last: Layers,
+    push: Float[Tensor, "*batch 1 1 1 1 1"],
+    bounds: tuple[float, float],
+) -> Layers:
+    """Return clamp(P + push (P - P of one sweep ago)).
+
+    Args:
+        layers: P.
+        last: where the sweep before ended.
+        push: share of the change.
+        bounds: of pixels.
+    """
+    result = torch.empty_like(layers)
+    made, *seen = (_by_row(each) for each in (result, layers, last))
+    given = made, *seen, push.flatten().numpy(), _bounds(bounds)
+    _extrapolate_rows.in_spans(*given, count=math.prod(made.shape[:2]), numbers=3 * layers.numel())
+    return result
+
+
+def _by_layer(layers: Tensor) -> np.ndarray:
+    """Return `[n, layer, c, y, x]`."""
+    return layers.detach().view(-1, *layers.shape[-4:]).numpy()
+
+
+def _by_row(layers: Tensor) -> np.ndarray:
+    """Return `[n, row of any layer and channel, x]`."""
+    return layers.detach().view(math.prod(layers.shape[:-5]), -1, layers.shape[-1]).numpy()
+
+
+def _bounds(bounds: tuple[float, float]) -> _Bounds:
+    return _Bounds(*map(np.float32, bounds))
+
+
+@compiled
+def _move_rows(layers, index, slopes, curvatures, bounds, begin, end):
+    """Rows of a layer in all its channels, one after the other, from and to."""
+    channels, height = layers.shape[2:4]
+    for number in range(begin, end):
+        item, place = divmod(number, channels * height)
+        channel, y = divmod(place, height)
+        row = layers[item, index, channel, y]
+        _move(row, slopes[item, 0, channel, y], curvatures[item, 0, channel, y], bounds)
+
+
+@compiled
+def _move(row, slope, curvature, bounds):
+    for x in range(len(row)):
+        bent = curvature[x]
+        step = slope[x] / bent if bent > _ZERO else _ZERO
+        row[x] = min(max(row[x] + step, bounds.low), bounds.high)
+        slope[x] = _ZERO
+        curvature[x] = _ZERO
+
+
+@compiled
+def _multiply_rows(sums, ahead, layers, last, begin, end):
+    """Rows of all layers, one after the other, from and to."""
+    for number in range(begin, end):
+        item, row = divmod(number, sums.shape[1])
+        sums[item, row] = _product(ahead[item, row], layers[item, row], last[item, row])
+
+
+@compiled
+def _product(ahead, row, last):
+    total = _ZERO
+    for x in range(len(row)):
+        total += (ahead[x] - row[x]) * (row[x] - last[x])
+    return total
+
+
+@compiled
+def _extrapolate_rows(result, layers, last, push, bounds, begin, end):
+    """Rows of all layers, one after the other, from and to."""
+    for number in range(begin, end):
+        item, row = divmod(number, layers.shape[1])
+        _extrapolate(result[item, row], layers[item, row], last[item, row], push[item], bounds)
+
+
+@compiled
+def _extrapolate(made, row, last, push, bounds):
+    for x in range(len(row)):
+        moved = row[x] + push * (row[x] - last[x])
+        made[x] = min(max(moved, bounds.low), bounds.high)

@@ -168,6 +168,9 @@ def test_layers_of_another_size_are_refused():
     problem, layers = posed("three layers", "multiplicative")
     with pytest.raises(ValueError, match=r"found layers of shape .* expected \(1, 3, 2, 77, 22\)"):
         slope(problem, layers[..., 1:])
+    apart = torch.empty(layers.mT.shape).mT
+    with pytest.raises(ValueError, match="expected contiguous"):
+        problem.light_paths.add_up_(apart, layers)
 
 
 @compiled.compiled

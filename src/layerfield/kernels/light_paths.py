@@ -1,7 +1,7 @@
-"""What all light paths of a display add to the pixels that they meet, in one pass over the views.
+"""What all light paths of a display bring to the pixels that they meet, in one pass over the views.
 
-    first_k  += sum_i w_i A_ik^T o_ik (a shown_i + b L_i)
-    second_k += sum_i w_i A_ik^T o_ik^2
+    first_k  = sum_i w_i A_ik^T o_ik (a shown_i + b L_i)
+    second_k = sum_i w_i A_ik^T o_ik^2
 
 shown_i is what view i shows of the layers, a sum or a product of the pixels along each path; o_ik
 its derivative by the pixel of layer k; L_i what the view is to show.
@@ -58,7 +58,7 @@ class _Views(NamedTuple):
 
 
 class _Sums(NamedTuple):
-    """What is added to: `[n, chosen, c, ly, lx]` twice, the second or nothing; and errors."""
+    """What is found: `[n, chosen, c, ly, lx]` twice, the second or nothing; and errors."""
 
     first: np.ndarray
     second: np.ndarray
@@ -123,24 +123,27 @@ class LightPaths:
         error: Float[Tensor, "*batch 1 1 1 1 1"] | None = None,
         every: int = 1,
     ) -> None:
-        """Add what they bring to `first` and `second`, in place; see `serve`.
+        """Write what they bring into `first` and `second`; see `serve`.
 
         Args:
-            first: a contiguous tensor, for all layers or the only one.
+            first: a contiguous tensor, for all layers or the only one; whatever it holds.
             layers: P; not looked at where neither a nor o depends on them.
             shares: a and b; the slope of the error as they are.
-            second: a contiguous tensor, or none to be added to.
-            only: the only layer that anything is added to.
+            second: the same, or none.
+            only: the only layer that anything is found for.
             error: to which sum_i w_i ||a shown_i + b L_i||^2 is added, of some views.
             every: how many views there are to one of them.
 
         Raises:
-            ValueError: layers or sums of other shapes than those of the display and the views.
+            ValueError: layers or sums of other shapes than those of the display and the views, or
+                sums that are not contiguous.
         """
         number = len(self.projection.shifts[0])
         begin, end = (0, number) if only is None else (only, only + 1)
         self._expect(layers, number)
         self._expect(first, end - begin)
+        if not first.is_contiguous() or (second is not None and not second.is_contiguous()):
+            raise ValueError("found sums that lie apart in memory, expected contiguous ones")
         batch, channels = math.prod(first.shape[:-5]), first.shape[-3]
         height, rows = self.views.stored.shape[-2], max(_ROWS, 2 * self.projection.margin[0] + 1)
         bands = math.ceil(height / rows)
@@ -156,7 +159,7 @@ class LightPaths:
             end,
             0 if error is None else every,
         )
-        for parity in (0, 1):  # bands side by side add to the same rows of the layers
+        for parity in (0, 1):  # bands side by side bring something to the same rows of the layers
             count = batch * channels * len(range(parity, bands, 2))
             given = (seen, views, taps, sums, law, rows, parity)
             _add_bands.in_spans(*given, count=count, numbers=views.stored.size)
@@ -237,7 +240,9 @@ def _add_band(layers, views, taps, sums, law, rows, place):
     is_seen = law.is_product or law.of_shown != 0
     for n in range(number):
         seen[n] = pixels[n].ctypes.data
-    for y in range(band * rows, min(height, (band + 1) * rows)):
+    span = band * rows, min(height, (band + 1) * rows)
+    for y in range(*span):
+        _clear(sums, place, y, span, height)
         for i in range(len(views.weights)):
             for n in range(number if is_seen else 0):
                 k = (law.begin + n) % number  # the only one that is added to comes first
@@ -260,6 +265,22 @@ def _add_band(layers, views, taps, sums, law, rows, place):
                 if is_twice:
                     _spread(parts[1, n], sums.second[item, n, channel], taps, i, k, y)
     sums.errors[item, channel, band] = error
+
+
+@compiled
+def _clear(sums, place, y, span, height):
+    """Begin with nothing in rows of the layers that paths of row y are the first to meet.
+
+    Every second band, from the first on, comes before those beside it.
+    """
+    (item, channel, band), (start, stop) = place, span
+    reach, comes_first = sums.first.shape[3] - height, band % 2 == 0
+    if comes_first or y + reach < stop or stop == height:
+        for row in range(start if comes_first and y == start else y + reach, y + reach + 1):
+            for n in range(sums.first.shape[1]):
+                sums.first[item, n, channel, row] = 0
+                if len(sums.second) > 0:
+                    sums.second[item, n, channel, row] = 0
 
 
 @compiled

@@ -18,12 +18,17 @@ Torus = Float[Tensor, "*batch 1 layer c ty tx"]
 
 
 class Before(NamedTuple):
-    """Of (D^-1 g + rho trust D u) / rho: rho and trust; and the bounds."""
+    """Of (D^-1 g + rho trust D u) / rho: rho and trust; bounds; and what D is found with.
+
+    D^2 is the curvature over the weight of all views, or the least share of it.
+    """
 
     rho: float
     trust: float
     low: float
     high: float
+    weight: float
+    least: float
 
 
 class Behind(NamedTuple):
@@ -44,28 +49,34 @@ def before(
     terms: Before,
     shadow: Layers,
     slope: Layers,
-    scale: Layers,
-    scale_before: Layers | None,
+    curvature: Layers | None,
+    last: Layers | None,
     torus: tuple[int, int],
-) -> tuple[Torus, Layers]:
-    """Return the right-hand side, and the dual, which is written into the slope.
+) -> tuple[Torus, Layers, Layers]:
+    """Return the right-hand side, the dual, which is written into the slope, and D.
 
     Args:
         terms: of the right-hand side.
         shadow: s.
         slope: g.
-        scale: D.
-        scale_before: D of the step before, whose dual s - z is; without one it follows from g.
+        curvature: that D follows from, which is written into it; without one D stays as it was.
+        last: D of the step before, whose dual s - z is; without one that follows from g.
         torus: its rows and columns.
+
+    Raises:
+        ValueError: there is neither.
     """
+    scale, ago = (curvature, last) if curvature is not None else (last, last)
+    if scale is None:
+        raise ValueError("found neither curvature nor D of the step before")
     right = torch.empty(*shadow.shape[:-2], *torus)
     seen = [_planes(each) for each in (right, shadow, slope, scale)]
-    known, is_first = Before._make(map(np.float32, terms)), scale_before is None
-    last = seen[3] if scale_before is None else _planes(scale_before)
+    known, flags = Before._make(map(np.float32, terms)), (curvature is not None, ago is None)
+    before_it = seen[3] if ago is None else _planes(ago)
 
     count, numbers = seen[0].shape[0] * torus[0], seen[0].size
-    _before.in_spans(*seen, last, known, is_first, count=count, numbers=numbers)
-    return right, slope
+    _before.in_spans(*seen, before_it, known, *flags, count=count, numbers=numbers)
+    return right, slope, scale
 
 
 def behind(
@@ -102,7 +113,7 @@ def _planes(layers: Tensor) -> np.ndarray:
 
 
 @compiled
-def _before(rights, shadows, slopes, scales, last, terms, is_first, begin, end):
+def _before(rights, shadows, slopes, scales, last, terms, is_new, is_first, begin, end):
     """Rows of all planes of the torus, one after the other, from and to."""
     rows, height, width = rights.shape[1], shadows.shape[1], shadows.shape[2]
     for number in range(begin, end):
@@ -112,10 +123,18 @@ def _before(rights, shadows, slopes, scales, last, terms, is_first, begin, end):
             continue
         right, shadow, slope = rights[plane, y], shadows[plane, y], slopes[plane, y]
         right[width:] = 0
+        if is_new:
+            _find_scale(scales[plane, y], terms)
         if is_first:
             _dual_at_bounds(right, shadow, slope, scales[plane, y], terms)
         else:
             _dual_of(right, shadow, slope, scales[plane, y], last[plane, y], terms)
+
+
+@compiled
+def _find_scale(curvature, terms):
+    for x in range(len(curvature)):
+        curvature[x] = np.sqrt(max(curvature[x] / terms.weight, terms.least))
 
 
 @compiled

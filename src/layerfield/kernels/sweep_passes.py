@@ -24,7 +24,7 @@ class _Bounds(NamedTuple):
 def move_layer_(
     layers: Layers, index: int, slope: One, curvature: One, bounds: tuple[float, float]
 ) -> None:
-    """Move one layer to clamp(P + slope / curvature), in place; both of these are 0 afterwards.
+    """Move one layer to clamp(P + slope / curvature), in place.
 
     Pixels without curvature influence nothing, and stay.
 
@@ -108,8 +108,6 @@ def _move(row, slope, curvature, bounds):
         bent = curvature[x]
         step = slope[x] / bent if bent > _ZERO else _ZERO
         row[x] = min(max(row[x] + step, bounds.low), bounds.high)
-        slope[x] = _ZERO
-        curvature[x] = _ZERO
 
 
 @compiled

@@ -78,15 +78,10 @@ class NewtonAdmm:
         known = self._constants(state.count, problem.layer_count)
         spectral, iterate = problem.gram.spectral, state.shadow.clamp(*problem.bounds)
         error = iterate.new_zeros(*iterate.shape[:-5], 1, 1, 1, 1, 1)
-        if renews_scale(state.count):
-            curvature = torch.zeros_like(iterate)
-            found = slope(problem, iterate, curvature, error)
-            scale = scale_of(curvature, spectral.weight)
-        else:
-            found, scale = slope(problem, iterate, error=error), state.scale
-        assert scale is not None
-        right, dual = _right_hand_side(problem, state, found, scale, known)
-        del iterate, found
+        curvature = iterate.new_empty(iterate.shape) if renews_scale(state.count) else None
+        found = slope(problem, iterate, curvature, error)
+        right, dual, scale = _right_hand_side(problem, state, found, curvature, known)
+        del iterate, found, curvature
         solved = spectral.solved_pixels(right, known.penalty, BALANCE, gain=-known.relaxation)
         boldness, made = _boldness(state, error), state.count + 1
         moved = _moved(problem, state, dual, scale, solved, boldness, known)
@@ -148,16 +143,19 @@ def slope(
     Args:
         problem: of any link.
         layers: P.
-        curvature: to which sum_i w_i A_ik^T o_ik^2 is added.
+        curvature: into which sum_i w_i A_ik^T o_ik^2 is written.
         error: to which sum_i w_i ||link(P)_i - L_i||^2 is added, of eight views or a few more: they
             tell whether it grows.
     """
-    projection, link, result = problem.projection, problem.link, torch.zeros_like(layers)
-    norms, every = list[Tensor](), max(1, len(problem.weights) // _TELLING)
-    paths = problem.light_paths
+    projection, link, paths = problem.projection, problem.link, problem.light_paths
+    result, every = layers.new_empty(layers.shape), max(1, len(problem.weights) // _TELLING)
     if paths.serve(layers):
         paths.add_up_(result, layers, second=curvature, error=error, every=every)
         return result
+    norms = list[Tensor]()
+    for each in (result, curvature):
+        if each is not None:
+            each.zero_()
     for alone, piece in problem.pieces():
         seen, slopes = piece.of_layers(layers), piece.of_layers(result)
         bent = None if curvature is None else piece.of_layers(curvature)
@@ -180,14 +178,20 @@ def slope(
 
 
 def _right_hand_side(
-    problem: Problem, state: NewtonState, slope: Tensor, scale: Tensor, known: Constants
-) -> tuple[Tensor, Tensor]:
-    """Return (D^-1 g + rho trust D u) / rho on the torus, and u; the slope is written on."""
+    problem: Problem, state: NewtonState, slope: Tensor, curvature: Tensor | None, known: Constants
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return (D^-1 g + rho trust D u) / rho on the torus, u, and D; what is given is written on.
+
+    D is that of the curvature, or without one that of the step before.
+    """
     gram, (low, high) = problem.gram, problem.bounds
-    rho = known.penalty * gram.spectral.weight
-    if newton_passes.serve_layers(state.shadow, slope, scale, state.scale):
-        terms = newton_passes.Before(rho, known.trust, low, high)
-        return newton_passes.before(terms, state.shadow, slope, scale, state.scale, gram.torus)
+    rho, weight = known.penalty * gram.spectral.weight, gram.spectral.weight
+    if newton_passes.serve_layers(state.shadow, slope, curvature, state.scale):
+        terms = newton_passes.Before(rho, known.trust, low, high, weight, _LEAST)
+        given = state.shadow, slope, curvature, state.scale
+        return newton_passes.before(terms, *given, gram.torus)
+    scale = state.scale if curvature is None else scale_of(curvature, weight)
+    assert scale is not None
     iterate = state.shadow.clamp(low, high)
     if state.scale is None:
         dual = dual_at_bounds(iterate, slope, problem.bounds, rho * scale.square())
@@ -196,7 +200,7 @@ def _right_hand_side(
         if scale is not state.scale:
             dual *= (state.scale / scale).square_()  # of the same force, rho D^2 u
     right = slope.div_(scale).div_(rho).addcmul_(dual, scale, value=known.trust)
-    return gram.to_torus(right), dual
+    return gram.to_torus(right), dual, scale
 
 
 def _moved(

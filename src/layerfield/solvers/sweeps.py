@@ -68,7 +68,7 @@ class Sweeps:
 
     def _step_compiled(self, problem: Problem, state: SweepsState, layers: Tensor) -> SweepsState:
         """Do the same with compiled passes; the layers, where the sweep begins, are written on."""
-        slope, curvature = (torch.zeros_like(layers[..., :1, :, :, :]) for _ in range(2))
+        slope, curvature = (layers.new_empty(layers[..., :1, :, :, :].shape) for _ in range(2))
         for k in range(problem.layer_count):
             problem.light_paths.add_up_(slope, layers, shares=_LEFT, second=curvature, only=k)
             sweep_passes.move_layer_(layers, k, slope, curvature, problem.bounds)
@@ -127,7 +127,7 @@ def _normal_equations(
     """Return A_k^T W o (L - link(P)), by subframe, and A_k^T W o o^T A_k 1 with its damping."""
     projection, link, count = problem.projection, problem.link, layers.shape[-5]
     if _are_served(problem, layers):
-        first, second = (torch.zeros_like(layers[..., :1, :, :, :]) for _ in range(2))
+        first, second = (layers.new_empty(layers[..., :1, :, :, :].shape) for _ in range(2))
         problem.light_paths.add_up_(first, layers, shares=_LEFT, second=second, only=index)
         return [first[..., 0, 0, :, :, :]], [[second[..., 0, 0, :, :, :]]]
     empty = layers[..., 0, index, :, :, :]

@@ -227,7 +227,7 @@ class _Slope(torch.autograd.Function):
         ctx.save_for_backward(layers)
         ctx.problem = problem
         ctx.set_materialize_grads(False)
-        curvature = torch.zeros_like(layers)
+        curvature = layers.new_empty(layers.shape)
         return slope(problem, layers, curvature), curvature
 
     @staticmethod

@@ -20,7 +20,7 @@ from numba.extending import intrinsic
 
 from layerfield.kernels.radices import LANES, RADICES
 
-_GROUP = 2 * LANES  # numbers of a lane group, and of what memory is fetched in
+_GROUP = 2 * LANES  # numbers of a lane group, and of a line of the cache
 _FLOAT, _INT = ir.FloatType(), ir.IntType(32)
 _VECTOR, _PAIRS = ir.VectorType(_FLOAT, LANES), ir.VectorType(_FLOAT, _GROUP)
 _FREE = ("contract", "reassoc", "nsz", "arcp", "nnan", "ninf")  # as `compiled` has it
@@ -125,18 +125,18 @@ class _Memory:
         self._data = context.make_array(kind)(context, builder, array).data
 
     def read(self, place: Any, kind: ir.Type = _VECTOR) -> Any:
-        return self.builder.load(self.at(place, kind), align=4)
+        return self.builder.load(self._at(place, kind), align=4)
 
     def write(self, value: Any, place: Any) -> None:
-        self.builder.store(value, self.at(place, value.type), align=4)
+        self.builder.store(value, self._at(place, value.type), align=4)
 
     def write_past_cache(self, value: Any, place: Any) -> None:
         """Write whole lines, aligned: what they held before is not fetched."""
-        stored = self.builder.store(value, self.at(place, value.type), align=4 * _GROUP)
+        stored = self.builder.store(value, self._at(place, value.type), align=4 * _GROUP)
         once = self.builder.module.add_metadata([_INT(1)])
         stored.set_metadata("nontemporal", once)
 
-    def at(self, place: Any, kind: ir.Type) -> Any:
+    def _at(self, place: Any, kind: ir.Type) -> Any:
         return self.builder.bitcast(self.builder.gep(self._data, [place]), kind.as_pointer())
 
 
@@ -399,19 +399,6 @@ def take_lanes(
     """Copy eight numbers, multiplied."""
     lanes = _Lanes(builder, seen.read(begin)) * _Lanes(builder, _everywhere(builder, factor))
     made.write(lanes.value, place)
-
-
-@intrinsic
-@_loop
-def ask_for(builder: Any, seen: _Memory, begin: Any, count: Any) -> None:
-    """Have memory fetched while something else is done: so many numbers from one on."""
-    place, number = ir.IntType(8).as_pointer(), _INT
-    kind = ir.FunctionType(ir.VoidType(), [place, number, number, number])
-    fetch = builder.module.declare_intrinsic("llvm.prefetch", [place], kind)
-    to_read, second_cache, data = number(0), number(2), number(1)
-    span = begin, builder.add(begin, count), begin.type(_GROUP), begin.type
-    with cgutils.for_range_slice(builder, *span) as (at, _):
-        builder.call(fetch, [seen.at(at, ir.IntType(8)), to_read, second_cache, data])
 
 
 @intrinsic

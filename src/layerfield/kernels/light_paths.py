@@ -209,7 +209,7 @@ def _taps(projection: Projection) -> _Taps:
     return found
 
 
-_ask_for = native("layerfield.kernels.path_lanes", "ask_for")
+_ask_for = native("layerfield.kernels.ahead", "ask_for")
 _follow = native("layerfield.kernels.path_lanes", "follow")
 
 
@@ -254,7 +254,7 @@ def _add_band(layers, views, taps, sums, law, rows, place):
                     second[n] = _begin(parts[1, n], sums.second[item, n, channel], taps, i, k, y)
             _read(light, views.stored[item, i, channel, y], views.table, law.of_light)
             if i + 1 < len(views.weights):
-                _ask_for(*_row_of(views.stored[item, i + 1, channel, y]))
+                _ask_for(views.stored[item, i + 1, channel, y])
             given, weight = (seen, first, second, light.ctypes.data, width), views.weights[i]
             square = _follow(law.each, *given, law.of_shown, weight, how)
             if law.every > 0 and i % law.every == 0:
@@ -327,12 +327,6 @@ def _place(plane, taps, i, k, y):
 def _row(plane, taps, i, k, y, n):
     """Return the row of a window, from its first pixel on."""
     return plane[y + taps.top[i, k, n], taps.left[i, k, n] :]
-
-
-@compiled
-def _row_of(row):
-    """Return where a row is, and how many bytes it has."""
-    return np.int64(row.ctypes.data), row.size * row.itemsize
 
 
 @compiled

@@ -17,8 +17,6 @@ from numba.extending import intrinsic
 
 _FLOAT, _WHOLE = ir.FloatType(), ir.IntType(64)
 _FREE = ("contract", "reassoc", "nsz", "arcp", "nnan", "ninf")  # as `compiled` has it
-_LINE = 64  # bytes that memory is fetched in
-_TO_READ = 0, 3, 1  # into the first cache, data
 _SIDE_BY_SIDE = (16, 4, 1)  # pixels; fewer for those that are left over at the end of a row
 
 
@@ -98,24 +96,6 @@ def follow(
         return builder.load(total)
 
     return kinds.float32(*given), generate
-
-
-@intrinsic
-def ask_for(_: Any, address: Any, length: Any) -> Any:
-    """Have memory fetched while something else is done: so many bytes from an address on."""
-
-    def generate(context: Any, builder: Any, _: Any, values: Sequence[Any]) -> Any:
-        begin, count = values
-        place, number = ir.IntType(8).as_pointer(), ir.IntType(32)
-        kind = ir.FunctionType(ir.VoidType(), [place, number, number, number])
-        fetch = builder.module.declare_intrinsic("llvm.prefetch", [place], kind)
-        how = [number(each) for each in _TO_READ]
-        span = begin, builder.add(begin, count), _WHOLE(_LINE), _WHOLE
-        with cgutils.for_range_slice(builder, *span) as (at, _):
-            builder.call(fetch, [builder.inttoptr(at, place), *how])
-        return context.get_dummy_value()
-
-    return kinds.void(kinds.int64, kinds.int64), generate
 
 
 def _pointers(builder: Any, array: Any, number: int) -> list[Any]:

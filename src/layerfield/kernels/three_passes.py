@@ -112,7 +112,7 @@ def _plan(height: int, width: int) -> _Plan | None:
     return _Plan(across, down, *(turns_of_length(n) for n in (width // 2, height, width)))
 
 
-_ask_for = native("layerfield.kernels.lanes", "ask_for")
+_ask_for = native("layerfield.kernels.ahead", "ask_for")
 _take_rows = native("layerfield.kernels.lanes", "take_rows")
 _put_rows = native("layerfield.kernels.lanes", "put_rows")
 _take_groups = native("layerfield.kernels.lanes", "take_groups")
@@ -199,8 +199,9 @@ def _rows_back(planes, work, known, plan, is_aligned, begin, end):
 def _ask_for_groups(work, number, tiles):
     """Those of eight rows."""
     plane, tile = divmod(number, tiles)
+    begin = tile * LANES * _GROUP
     for column in range(work.shape[1]):
-        _ask_for(work[plane, column], tile * LANES * _GROUP, LANES * _GROUP)
+        _ask_for(work[plane, column, begin : begin + LANES * _GROUP])
 
 
 @compiled
@@ -208,9 +209,9 @@ def _ask_for_rows(known, number, tiles):
     """Eight of what is added up."""
     plane, tile = divmod(number, tiles)
     for y in range(tile * LANES, min((tile + 1) * LANES, known.shadow.shape[1])):
-        _ask_for(known.shadow[plane, y], 0, known.shadow.shape[2])
+        _ask_for(known.shadow[plane, y])
         if y < known.other.shape[1]:
-            _ask_for(known.other[plane, y], 0, known.other.shape[2])
+            _ask_for(known.other[plane, y])
 
 
 @compiled

@@ -10,7 +10,7 @@ import math
 import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import reduce, wraps
+from functools import partial, reduce, wraps
 from typing import Any
 
 from llvmlite import ir
@@ -148,16 +148,19 @@ def _loop(function: Callable[..., None]) -> Any:
         given = arguments[1:]
 
         def generate(context: Any, builder: Any, _: Any, values: Sequence[Any]) -> Any:
-            known = [
-                _Memory(context, builder, kind, value) if isinstance(kind, kinds.Array) else value
-                for kind, value in zip(given, values, strict=True)
-            ]
-            function(builder, *known)
+            function(builder, *map(partial(_known, context, builder), given, values))
             return context.get_dummy_value()
 
         return kinds.void(*given), generate
 
     return typed
+
+
+def _known(context: Any, builder: Any, kind: Any, value: Any) -> Any:
+    """Return an array as vectors are read from it, of a tuple its length, and numbers."""
+    if isinstance(kind, kinds.Array):
+        return _Memory(context, builder, kind, value)
+    return len(kind) if isinstance(kind, kinds.BaseTuple) else value
 
 
 @intrinsic
@@ -403,43 +406,42 @@ def take_lanes(
 
 @intrinsic
 @_loop
-def add_products(
+def multiply_groups(
     builder: Any,
+    each: int,
     matrix: _Memory,
     entry: Any,
     step: Any,
     seen: _Memory,
     group: Any,
     stride: Any,
-    count: Any,
-    made: _Memory,
-    place: Any,
 ) -> None:
-    """Put the sum of so many products somewhere, imaginary parts first.
+    """Multiply lane groups, one of every layer, by symmetric matrices, in place.
+
+    Imaginary parts come first afterwards.
 
     Args:
         builder: of what is compiled.
-        matrix: eight real numbers for every lane group.
-        entry: where the first are.
+        each: a tuple with something for every layer.
+        matrix: of entries [k, m], k <= m, eight real numbers.
+        entry: where those of the first are.
         step: from one to the next.
         seen: lane groups.
         group: where the first is.
         stride: from one to the next.
-        count: how many.
-        made: where the sum comes.
-        place: in that.
     """
-    nothing, sums = ir.Constant(_VECTOR, [0.0] * LANES), list[Any]()
-    for _ in range(2):
-        sums.append(cgutils.alloca_once_value(builder, nothing))
-    with cgutils.for_range(builder, count) as loop:
-        factor = _Lanes(builder, matrix.read(builder.add(entry, builder.mul(loop.index, step))))
-        x = _read_complex(builder, seen, builder.add(group, builder.mul(loop.index, stride)))
-        for total, part in zip(sums, (x.real, x.imaginary), strict=True):
-            added = _Lanes(builder, builder.load(total)) + part * factor
-            builder.store(added.value, total)
-    real, imaginary = (_Lanes(builder, builder.load(total)) for total in sums)
-    _write_complex(builder, made, place, _Complex(imaginary, real))
+    groups = [builder.add(group, builder.mul(stride, stride.type(layer))) for layer in range(each)]
+    given, known = [_read_complex(builder, seen, place) for place in groups], dict[int, _Lanes]()
+    for k, place in enumerate(groups):
+        products = list[_Complex]()
+        for m, x in enumerate(given):
+            number = min(k, m) * each + max(k, m)
+            if number not in known:
+                there = builder.add(entry, builder.mul(step, step.type(number)))
+                known[number] = _Lanes(builder, matrix.read(there))
+            products.append(_Complex(x.real * known[number], x.imaginary * known[number]))
+        total = _sum(products)
+        _write_complex(builder, seen, place, _Complex(total.imaginary, total.real))
 
 
 @intrinsic

@@ -91,7 +91,8 @@ def solved_in_three_passes(
     kept, gain = terms.kept * factor, terms.gain * factor
     given = Terms._make(map(np.float32, terms._replace(gain=gain, kept=kept)))
     count_solved = groups * items * channels
-    _columns_solved.in_spans(work, symbol, given, plan, count=count_solved, numbers=numbers)
+    each = (0,) * number  # how many there are is known when loops are compiled
+    _columns_solved.in_spans(work, symbol, given, plan, each, count=count_solved, numbers=numbers)
     result = torch.empty(planes.shadow.shape)
     made = planes_of(result)
     last = made, flat, added.sum(), plan, _is_aligned(made)
@@ -120,7 +121,7 @@ _put_groups = native("layerfield.kernels.lanes", "put_groups")
 _put_past_cache = native("layerfield.kernels.lanes", "put_past_cache")
 _settle = native("layerfield.kernels.lanes", "settle")
 _take_lanes = native("layerfield.kernels.lanes", "take_lanes")
-_add_products = native("layerfield.kernels.lanes", "add_products")
+_multiply_groups = native("layerfield.kernels.lanes", "multiply_groups")
 _swap_group = native("layerfield.kernels.lanes", "swap_group")
 _pairs_to_spectrum = native("layerfield.kernels.lanes", "pairs_to_spectrum")
 _spectrum_to_pairs = native("layerfield.kernels.lanes", "spectrum_to_pairs")
@@ -215,7 +216,7 @@ def _ask_for_rows(known, number, tiles):
 
 
 @compiled
-def _columns_solved(work, symbol, terms, plan, begin, end):
+def _columns_solved(work, symbol, terms, plan, each, begin, end):
     """Eight columns at a time, from and to: of all layers of one channel, one after the other."""
     items, number, channels = work.shape[:3]
     height = symbol.down.shape[2]
@@ -232,22 +233,18 @@ def _columns_solved(work, symbol, terms, plan, begin, end):
                 for m in range(k, number):
                     _read_columns(inverse[k, m], symbol, k, m, tile * LANES)
             invert(inverse, terms, tile == 0)
-            for k in range(number):
-                for m in range(k):
-                    _copy(inverse[k, m], inverse[m, k])
             last = tile
         for k in range(number):
             there, made = work[item, k, channel, tile], seen[k]
             if not transform_groups(plan.down, height, there, 0, _GROUP, other, made, turns):
                 _copy(made, other)
+        for y in range(height):
+            group, stride = y * _GROUP, height * _GROUP
+            _multiply_groups(each, entries, y * LANES, height * LANES, values, group, stride)
         for k in range(number):
-            step, stride, row = height * LANES, height * _GROUP, k * number * height * LANES
-            for y in range(height):
-                entry, group = row + y * LANES, y * _GROUP
-                _add_products(entries, entry, step, values, group, stride, number, other, group)
-            is_in_other = transform_groups(plan.down, height, other, 0, _GROUP, one, other, turns)
-            made = other if is_in_other else one
-            there = work[item, k, channel, tile]
+            there, given = work[item, k, channel, tile], seen[k]
+            is_in_one = transform_groups(plan.down, height, given, 0, _GROUP, other, one, turns)
+            made = one if is_in_one else other
             for y in range(height):
                 _swap_group(made, y * _GROUP, there, y * _GROUP)
 

@@ -3,7 +3,7 @@
 import hashlib
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -43,6 +43,15 @@ def plain() -> Iterator[None]:
         yield
     finally:
         _PLAIN.reset(before)
+
+
+@contextmanager
+def compilations() -> Iterator[Sequence[object]]:
+    """Keep a list of what is compiled inside a `with`; what is read from disk is not on it."""
+    from numba.core.event import install_recorder  # noqa: PLC0415
+
+    with install_recorder("numba:compile") as recorder:
+        yield recorder.buffer
 
 
 def is_plain() -> bool:

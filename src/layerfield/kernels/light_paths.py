@@ -288,11 +288,9 @@ def _look(pixels, plane, taps, i, k, y):
     """Return where the pixels are that are looked at: found first, if they lie between others."""
     if taps.is_whole[i, k]:
         return _place(plane, taps, i, k, y)
-    n = 0
-    while n < taps.windows[i, k]:
-        count, row = _are_beside(taps, i, k, n), _row(plane, taps, i, k, y, n)
-        _read_pair(pixels, row, taps.weight[i, k, n : n + count], n > 0)
-        n += count
+    pixels[:] = 0
+    for n in range(taps.windows[i, k]):
+        _add_share(pixels, _row(plane, taps, i, k, y, n), taps.weight[i, k, n])
     return pixels.ctypes.data
 
 
@@ -309,11 +307,9 @@ def _begin(part, plane, taps, i, k, y):
 def _spread(part, plane, taps, i, k, y):
     """Add to the pixels what did not go there by itself."""
     if not taps.is_whole[i, k]:
-        n = 0
-        while n < taps.windows[i, k]:
-            count, row = _are_beside(taps, i, k, n), _row(plane, taps, i, k, y, n)
-            _add_pair(row, part, taps.weight[i, k, n : n + count])
-            n += count
+        for n in range(taps.windows[i, k]):
+            row = _row(plane, taps, i, k, y, n)
+            _add_share(row, part, taps.weight[i, k, n])
 
 
 @compiled
@@ -341,35 +337,7 @@ def _read(light, row, table, of_light):
 
 
 @compiled
-def _are_beside(taps, i, k, n):
-    """Return 2 where the next window is that of the pixels beside, in the same row, or else 1."""
-    is_one = n + 1 == taps.windows[i, k] or taps.top[i, k, n + 1] != taps.top[i, k, n]
-    return 1 if is_one else 2
-
-
-@compiled
-def _read_pair(pixels, row, shares, further):
-    """Find shares of pixels, and of those beside them, or further ones."""
-    one, other = shares[0], shares[-1] if len(shares) > 1 else np.float32(0)
-    beside = row[1:] if len(shares) > 1 else row
-    if further:
-        for x in range(len(pixels)):
-            pixels[x] += one * row[x] + other * beside[x]
-    else:
-        for x in range(len(pixels)):
-            pixels[x] = one * row[x] + other * beside[x]
-
-
-@compiled
-def _add_pair(row, part, shares):
-    """Add shares to pixels, and to those beside them."""
-    one, count = shares[0], len(part)
-    if len(shares) == 1:
-        for x in range(count):
-            row[x] += one * part[x]
-    else:
-        other, rest, later = shares[1], row[1:], part[1:]
-        row[0] += one * part[0]
-        for x in range(count - 1):
-            rest[x] += one * later[x] + other * part[x]
-        rest[count - 1] += other * part[count - 1]
+def _add_share(row, other, share):
+    """Of rows that may be of other lengths."""
+    for x in range(min(len(row), len(other))):
+        row[x] += share * other[x]

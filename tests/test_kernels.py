@@ -124,8 +124,12 @@ def test_sweeps_are_those_of_pytorch(link, threads):
     assert len({tuple(each.tolist()) for each in counts}) > 1
 
 
-def test_a_multiplicative_update_is_that_of_pytorch():
+@pytest.mark.parametrize("is_turned", [False, True])
+def test_a_multiplicative_update_is_that_of_pytorch(is_turned):
+    """Of layers that lie otherwise in memory, too."""
     problem, layers = posed("three layers", "multiplicative")
+    if is_turned:
+        layers = layers.mT.contiguous().mT
     found = ntf.Ntf().step(problem, layers)
     with plain():
         assert same(found, ntf.Ntf().step(problem, layers))

@@ -45,13 +45,14 @@ def _ratio(
 ) -> Float[Tensor, "*batch subframe c ly lx"]:
     """Return the quotient of what layers should show and what they show, seen from one layer."""
     projection, link = problem.projection, problem.link
-    wanted = torch.zeros_like(layers[..., index, :, :, :])
-    found = torch.zeros_like(wanted)
-    paths = problem.light_paths
+    shape, paths = layers[..., index, :, :, :].shape, problem.light_paths
+    wanted, found = (layers.new_empty(shape) for _ in range(2))
     if paths.serve(layers):
         paths.add_up_(wanted.unsqueeze(-4), layers, shares=Shares(0, 1), only=index)
         paths.add_up_(found.unsqueeze(-4), layers, shares=Shares(1, 0), only=index)
         return _quotient(wanted, found)
+    for each in (wanted, found):
+        each.zero_()
     for alone, piece in problem.pieces():
         seen, over, under = (piece.of_layers(each) for each in (layers, wanted, found))
         for i, weight in enumerate(problem.weights):

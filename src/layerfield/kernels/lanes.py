@@ -23,7 +23,7 @@ from layerfield.kernels.radices import LANES, RADICES
 _GROUP = 2 * LANES  # numbers of a lane group, and of a line of the cache
 _FLOAT, _INT = ir.FloatType(), ir.IntType(32)
 _VECTOR, _PAIRS = ir.VectorType(_FLOAT, LANES), ir.VectorType(_FLOAT, _GROUP)
-_FREE = ("contract", "reassoc", "nsz", "arcp", "nnan", "ninf")  # as `compiled` has it
+FREE = ("contract", "reassoc", "nsz", "arcp", "nnan", "ninf")  # as `compiled` has it
 _EVEN, _ODD = [*range(0, _GROUP, 2)], [*range(1, _GROUP, 2)]
 _BY_TURNS = [place // 2 + LANES * (place % 2) for place in range(_GROUP)]
 
@@ -46,7 +46,7 @@ class _Lanes:
         return self._made("fmul", other)
 
     def _made(self, name: str, other: "_Lanes") -> "_Lanes":
-        made = getattr(self.builder, name)(self.value, other.value, flags=_FREE)
+        made = getattr(self.builder, name)(self.value, other.value, flags=FREE)
         return _Lanes(self.builder, made)
 
 
@@ -271,14 +271,7 @@ def put_rows(
         swapped: whether real and imaginary parts change places.
         as_groups: whether those parts stay apart.
     """
-    parts = list[list[Any]]()
-    for offset in _offsets(builder, swapped):
-        at, columns = builder.add(begin, offset), list[Any]()
-        for _ in range(LANES):
-            columns.append(seen.read(at))
-            at = builder.add(at, at.type(_GROUP))
-        parts.append(_transposed(builder, columns))
-    rows = [*zip(*parts, strict=True)]
+    rows = _rows(builder, seen, begin, _offsets(builder, swapped))
     with builder.if_else(builder.trunc(as_groups, ir.IntType(1))) as (groups, numbers):
         for way, mask in ((groups, [*range(_GROUP)]), (numbers, _BY_TURNS)):
             with way:
@@ -304,14 +297,25 @@ def _turn(builder: Any, turns: _Memory, number: Any) -> tuple[_Lanes, _Lanes]:
     place, found = builder.mul(number, number.type(2)), list[_Lanes]()
     for part in range(2):
         value = turns.read(builder.add(place, place.type(part)), _FLOAT)
-        found.append(_Lanes(builder, _everywhere(builder, value)))
+        found.append(_Lanes(builder, everywhere(builder, value)))
     return found[0], found[1]
 
 
-def _everywhere(builder: Any, number: Any) -> Any:
+def everywhere(builder: Any, number: Any, lanes: int = LANES) -> Any:
     """Return a number in all lanes."""
-    one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), number, _INT(0))
-    return _shuffled(builder, one, one, [0] * LANES)
+    kind = ir.VectorType(_FLOAT, lanes)
+    one = builder.insert_element(ir.Constant(kind, ir.Undefined), number, _INT(0))
+    return _shuffled(builder, one, one, [0] * lanes)
+
+
+def _rows(builder: Any, seen: _Memory, begin: Any, offsets: Sequence[Any]) -> list[tuple[Any, Any]]:
+    """Return eight lane groups, one behind the other, by row: parts that are at these offsets."""
+    parts = list[list[Any]]()
+    for offset in offsets:
+        at = builder.add(begin, offset)
+        places = (builder.add(at, at.type(_GROUP * n)) for n in range(LANES))
+        parts.append(_transposed(builder, [seen.read(place) for place in places]))
+    return [*zip(*parts, strict=True)]
 
 
 def _offsets(builder: Any, swapped: Any) -> tuple[Any, Any]:
@@ -358,11 +362,8 @@ def take_groups(
 @_loop
 def put_groups(builder: Any, seen: _Memory, begin: Any, made: _Memory, place: Any) -> None:
     """Put eight lane groups, one behind the other, turned as `take_groups` does, past the cache."""
-    parts = list[list[Any]]()
-    for offset in (0, LANES):
-        places = (builder.add(begin, begin.type(_GROUP * n + offset)) for n in range(LANES))
-        parts.append(_transposed(builder, [seen.read(at) for at in places]))
-    for number, (real, imaginary) in enumerate(zip(*parts, strict=True)):
+    offsets = begin.type(0), begin.type(LANES)
+    for number, (real, imaginary) in enumerate(_rows(builder, seen, begin, offsets)):
         value = _shuffled(builder, real, imaginary, [*range(_GROUP)])
         made.write_past_cache(value, builder.add(place, place.type(_GROUP * number)))
 
@@ -400,7 +401,7 @@ def take_lanes(
     builder: Any, seen: _Memory, begin: Any, factor: Any, made: _Memory, place: Any
 ) -> None:
     """Copy eight numbers, multiplied."""
-    lanes = _Lanes(builder, seen.read(begin)) * _Lanes(builder, _everywhere(builder, factor))
+    lanes = _Lanes(builder, seen.read(begin)) * _Lanes(builder, everywhere(builder, factor))
     made.write(lanes.value, place)
 
 

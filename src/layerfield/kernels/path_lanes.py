@@ -15,8 +15,9 @@ from numba.core import cgutils
 from numba.core import types as kinds
 from numba.extending import intrinsic
 
+from layerfield.kernels.lanes import FREE, everywhere
+
 _FLOAT, _WHOLE = ir.FloatType(), ir.IntType(64)
-_FREE = ("contract", "reassoc", "nsz", "arcp", "nnan", "ninf")  # as `compiled` has it
 _SIDE_BY_SIDE = (16, 4, 1)  # pixels; fewer for those that are left over at the end of a row
 
 
@@ -116,26 +117,18 @@ def _follow_all(
         kind = _FLOAT if lanes == 1 else ir.VectorType(_FLOAT, lanes)
         end = builder.and_(count, _WHOLE(-lanes))
         sums = cgutils.alloca_once_value(builder, ir.Constant(kind, None))
-        shown, weight = (_everywhere(builder, factor, lanes) for factor in factors)
+        shown, weight = (
+            factor if lanes == 1 else everywhere(builder, factor, lanes) for factor in factors
+        )
         with cgutils.for_range_slice(builder, begin, end, _WHOLE(lanes), _WHOLE) as (at, _):
             one = _Pixels(builder, at, kind)
             squares = one.follow(rows, law, shown, weight)
-            builder.store(builder.fadd(builder.load(sums), squares, flags=_FREE), sums)
+            builder.store(builder.fadd(builder.load(sums), squares, flags=FREE), sums)
         found = builder.load(sums)
         for lane in range(lanes):
             part = found if lanes == 1 else builder.extract_element(found, ir.IntType(32)(lane))
-            builder.store(builder.fadd(builder.load(total), part, flags=_FREE), total)
+            builder.store(builder.fadd(builder.load(total), part, flags=FREE), total)
         begin = end
-
-
-def _everywhere(builder: Any, number: Any, lanes: int) -> Any:
-    """Return a number for all pixels side by side."""
-    if lanes == 1:
-        return number
-    kind, whole = ir.VectorType(_FLOAT, lanes), ir.IntType(32)
-    nothing = ir.Constant(kind, ir.Undefined)
-    one = builder.insert_element(nothing, number, whole(0))
-    return builder.shuffle_vector(one, nothing, ir.Constant(ir.VectorType(whole, lanes), None))
 
 
 class _Pixels:
@@ -182,10 +175,10 @@ class _Pixels:
         return one if other is None else self._times(one, other)
 
     def _times(self, one: Any, other: Any) -> Any:
-        return self._builder.fmul(one, other, flags=_FREE)
+        return self._builder.fmul(one, other, flags=FREE)
 
     def _plus(self, one: Any, other: Any) -> Any:
-        return self._builder.fadd(one, other, flags=_FREE)
+        return self._builder.fadd(one, other, flags=FREE)
 
     def _read(self, row: Any) -> Any:
         return self._builder.load(self._place(row), align=4)

@@ -15,7 +15,7 @@ from layerfield.kernels.compiled import plain, serve
 from layerfield.kernels.spectra import Pairs
 from layerfield.kernels.transforms import transform_, transforms_made
 
-SIZES = [(6, 8), (9, 14), (1, 2), (10, 4), (7, 10), (40, 36)]
+SIZES = [(6, 8), (9, 14), (1, 2), (10, 4), (7, 10), (40, 36), (5, 70)]
 
 
 @pytest.fixture(params=[0, 1 << 19])

@@ -1,13 +1,16 @@
 """Three passes over memory: right whatever the display and the size."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from displays import SHOWN
 
-from layerfield import Display
+from layerfield import Display, procedural_light_field, synthesize
 from layerfield.display_spec import parse_spec
+from layerfield.frequencies import Apart, Spectral
 from layerfield.gram import spectral_of
-from layerfield.kernels import three_passes
+from layerfield.kernels import steps, three_passes
 from layerfield.kernels.blends import Blend, Shares
 from layerfield.kernels.compiled import plain
 from layerfield.kernels.transforms import transforms_made
@@ -52,6 +55,43 @@ def test_layers_are_solved_as_in_double_precision(kind, size, threads):
     with plain():
         expected = exact.solved_pixels(right, *TERMS, added=added)
     assert (found - expected).abs().max() <= 1e-5 * expected.abs().max()
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("size", [(20, 24), (33, 36), (40, 208)])
+def test_low_frequencies_are_replaced_as_in_double_precision(kind, size, threads):
+    """Nothing is added there, and of layers nothing is seen."""
+    torch.set_num_threads(threads)
+    known, exact = spectral(kind, size), spectral(kind, size, torch.float64)
+    right, _ = sums(len(known.symbol), size)
+    unseen = torch.full_like(right.shadow, torch.nan)
+    nothing = replace(right, shares=Shares(0, 0, 0.3), shadow=unseen)
+
+    def solved(spectral: Spectral, right: Blend) -> torch.Tensor:
+        apart = Apart(spectral.coarser(3), lambda part: -3 * part)
+        return spectral.solved_pixels(right, *TERMS, apart=apart)
+
+    with transforms_made() as made:
+        found = solved(known, nothing)
+    assert len(made) == 2
+    right, _ = sums(len(known.symbol), size, torch.float64)
+    with plain():
+        expected = solved(exact, replace(right, shares=Shares(0, 0, 0.3)))
+    assert (found - expected).abs().max() <= 1e-5 * expected.abs().max()
+
+
+@pytest.mark.parametrize("size", [(20, 24), (61, 90)])
+def test_the_first_learned_step_is_made_in_three_passes(size, monkeypatch):
+    """As by planes one after the other."""
+    display = Display.load("additive-3")
+    field = procedural_light_field(size=size)
+    with monkeypatch.context() as patched:
+        patched.setattr(three_passes, "LARGE", 1 << 20)
+        expected = synthesize(field, display, method="fast", iterations=1).layers
+    monkeypatch.setattr(steps, "LARGE", 0)
+    found = synthesize(field, Display.load("additive-3"), method="fast", iterations=1).layers
+    torch.testing.assert_close(found, expected, rtol=0, atol=1e-4)
 
 
 def test_solutions_do_not_depend_on_the_threads():

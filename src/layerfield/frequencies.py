@@ -19,7 +19,7 @@ from layerfield.kernels.compiled import serve
 from layerfield.kernels.spectra import LowPart, Pairs, Terms
 from layerfield.kernels.symbols import Symbol, symbol_of
 from layerfield.kernels.systems import System, system_of
-from layerfield.kernels.three_passes import solved_in_three_passes
+from layerfield.kernels.three_passes import LowApart, solved_in_three_passes
 
 _MOST_KEPT = 1 << 31  # bytes of the resolvents of a display: those of `fast` up to 8 megapixels
 
@@ -148,8 +148,9 @@ class Spectral:
             return result if added is None else added.planes(onto=result)
         pull, rho = 0 if self.by_row else balance * self.weight, penalty * self.weight
         terms = Terms(rho, pull, gain * rho, kept)
-        if isinstance(planes, Blend) and added is not None and apart is None and not self.by_row:
-            made = solved_in_three_passes(planes, self._entries, terms, added)
+        if isinstance(planes, Blend) and not self.by_row:
+            low = None if apart is None else LowApart(apart.grid.window, apart.solve)
+            made = solved_in_three_passes(planes, self._entries, terms, added, low)
             if made is not None:
                 return made
         pairs, other = Pairs.of(planes, self.by_row), None

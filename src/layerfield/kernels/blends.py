@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -95,6 +95,10 @@ class Sum(NamedTuple):
     high: np.float32
 
 
+_ZERO: Any = np.float32(0)  # as all others are: whole numbers would be another type
+NOTHING = Sum(_NONE, _NONE, NO_STRIPS, Shares(_ZERO, _ZERO, _ZERO), _ZERO, _ZERO)
+
+
 def corners_of(other: Float[Tensor, "*batch ly lx"], shape: Sequence[int]) -> np.ndarray:
     """Return what lies in the top left corner of planes, as `[plane, y, x]`.
 
@@ -129,8 +133,9 @@ def _blend(planes, known, is_new, begin, end):
 @compiled
 def blend_row(row, known, plane, y, is_new):
     """Put the sum into a row of a plane, or add it to what is there."""
-    if is_new and known.shares.iterate == 0 and known.shares.shadow == 0:
-        row[:] = 0
+    if not shows_layers(known):
+        if is_new:
+            row[:] = 0
     elif is_new:
         _set(row, known.shadow[plane, y], known.shares, known.low, known.high)
     else:
@@ -139,6 +144,12 @@ def blend_row(row, known, plane, y, is_new):
         _add_other(row, known.other[plane, y], known.shares.other)
     if len(known.strips.below) > 0:
         add_strips_to_row(row, known.strips, plane, y)
+
+
+@compiled
+def shows_layers(known):
+    """Whether layers are a part of the sum at all."""
+    return known.shares.iterate != 0 or known.shares.shadow != 0
 
 
 @compiled

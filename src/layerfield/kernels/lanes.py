@@ -117,7 +117,7 @@ def _sum(terms: Sequence[_Complex]) -> _Complex:
     return reduce(operator.add, terms)
 
 
-class _Memory:
+class Memory:
     """An array of single precision, as vectors are read from it and put into it."""
 
     def __init__(self, context: Any, builder: Any, kind: Any, array: Any) -> None:
@@ -140,7 +140,7 @@ class _Memory:
         return self.builder.bitcast(self.builder.gep(self._data, [place]), kind.as_pointer())
 
 
-def _loop(function: Callable[..., None]) -> Any:
+def generated(function: Callable[..., None]) -> Any:
     """Turn a function of a builder, arrays and whole numbers into one that compiled ones call."""
 
     @wraps(function)  # Numba asks for the names of what it takes; the first is its own context
@@ -159,23 +159,23 @@ def _loop(function: Callable[..., None]) -> Any:
 def _known(context: Any, builder: Any, kind: Any, value: Any) -> Any:
     """Return an array as vectors are read from it, of a tuple its length, and numbers."""
     if isinstance(kind, kinds.Array):
-        return _Memory(context, builder, kind, value)
+        return Memory(context, builder, kind, value)
     return len(kind) if isinstance(kind, kinds.BaseTuple) else value
 
 
 @intrinsic
-@_loop
+@generated
 def butterflies(  # noqa: PLR0913, PLR0917 - whole numbers that compiled loops pass one by one
     builder: Any,
     radix: Any,
-    seen: _Memory,
+    seen: Memory,
     begin: Any,
     step: Any,
-    made: _Memory,
+    made: Memory,
     place: Any,
     stride: Any,
     count: Any,
-    turns: _Memory,
+    turns: Memory,
     turn: Any,
 ) -> None:
     """Transform `radix` lane groups, and the groups behind each of them, `count` in all.
@@ -219,9 +219,9 @@ def butterflies(  # noqa: PLR0913, PLR0917 - whole numbers that compiled loops p
 
 
 @intrinsic
-@_loop
+@generated
 def take_rows(
-    builder: Any, seen: _Memory, begin: Any, pitch: Any, made: _Memory, place: Any, swapped: Any
+    builder: Any, seen: Memory, begin: Any, pitch: Any, made: Memory, place: Any, swapped: Any
 ) -> None:
     """Put eight complex numbers of eight rows into eight lane groups.
 
@@ -248,12 +248,12 @@ def take_rows(
 
 
 @intrinsic
-@_loop
+@generated
 def put_rows(
     builder: Any,
-    seen: _Memory,
+    seen: Memory,
     begin: Any,
-    made: _Memory,
+    made: Memory,
     place: Any,
     pitch: Any,
     swapped: Any,
@@ -282,9 +282,9 @@ def put_rows(
 
 
 @intrinsic
-@_loop
+@generated
 def put_group(
-    builder: Any, seen: _Memory, begin: Any, made: _Memory, place: Any, swapped: Any
+    builder: Any, seen: Memory, begin: Any, made: Memory, place: Any, swapped: Any
 ) -> None:
     """Put a lane group somewhere as complex numbers; arguments as of `put_rows`."""
     offsets = _offsets(builder, swapped)
@@ -292,7 +292,7 @@ def put_group(
     made.write(_shuffled(builder, real, imaginary, _BY_TURNS), place)
 
 
-def _turn(builder: Any, turns: _Memory, number: Any) -> tuple[_Lanes, _Lanes]:
+def _turn(builder: Any, turns: Memory, number: Any) -> tuple[_Lanes, _Lanes]:
     """Return cos and sin of one angle, for all lanes."""
     place, found = builder.mul(number, number.type(2)), list[_Lanes]()
     for part in range(2):
@@ -308,7 +308,7 @@ def everywhere(builder: Any, number: Any, lanes: int = LANES) -> Any:
     return _shuffled(builder, one, one, [0] * lanes)
 
 
-def _rows(builder: Any, seen: _Memory, begin: Any, offsets: Sequence[Any]) -> list[tuple[Any, Any]]:
+def _rows(builder: Any, seen: Memory, begin: Any, offsets: Sequence[Any]) -> list[tuple[Any, Any]]:
     """Return eight lane groups, one behind the other, by row: parts that are at these offsets."""
     parts = list[list[Any]]()
     for offset in offsets:
@@ -346,9 +346,9 @@ def _transposed(builder: Any, rows: Sequence[Any]) -> list[Any]:
 
 
 @intrinsic
-@_loop
+@generated
 def take_groups(
-    builder: Any, seen: _Memory, begin: Any, pitch: Any, made: _Memory, place: Any
+    builder: Any, seen: Memory, begin: Any, pitch: Any, made: Memory, place: Any
 ) -> None:
     """Put a lane group of each of eight rows into eight lane groups; see `take_rows`."""
     rows = [builder.add(begin, builder.mul(pitch, pitch.type(row))) for row in range(LANES)]
@@ -359,8 +359,8 @@ def take_groups(
 
 
 @intrinsic
-@_loop
-def put_groups(builder: Any, seen: _Memory, begin: Any, made: _Memory, place: Any) -> None:
+@generated
+def put_groups(builder: Any, seen: Memory, begin: Any, made: Memory, place: Any) -> None:
     """Put eight lane groups, one behind the other, turned as `take_groups` does, past the cache."""
     offsets = begin.type(0), begin.type(LANES)
     for number, (real, imaginary) in enumerate(_rows(builder, seen, begin, offsets)):
@@ -369,8 +369,8 @@ def put_groups(builder: Any, seen: _Memory, begin: Any, made: _Memory, place: An
 
 
 @intrinsic
-@_loop
-def put_past_cache(builder: Any, seen: _Memory, made: _Memory, count: Any) -> None:
+@generated
+def put_past_cache(builder: Any, seen: Memory, made: Memory, count: Any) -> None:
     """Copy so many numbers from the first on, whole lines of them."""
     whole = count.type
     span = whole(0), count, whole(_GROUP), whole
@@ -379,15 +379,15 @@ def put_past_cache(builder: Any, seen: _Memory, made: _Memory, count: Any) -> No
 
 
 @intrinsic
-@_loop
+@generated
 def settle(builder: Any) -> None:
     """Have what passed by the cache arrive before what other threads are told afterwards."""
     builder.fence("seq_cst")
 
 
 @intrinsic
-@_loop
-def swap_group(builder: Any, seen: _Memory, begin: Any, made: _Memory, place: Any) -> None:
+@generated
+def swap_group(builder: Any, seen: Memory, begin: Any, made: Memory, place: Any) -> None:
     """Put a lane group somewhere else, with imaginary and real parts in each other's place."""
     far = begin.type(LANES)
     real, imaginary = seen.read(begin), seen.read(builder.add(begin, far))
@@ -396,9 +396,9 @@ def swap_group(builder: Any, seen: _Memory, begin: Any, made: _Memory, place: An
 
 
 @intrinsic
-@_loop
+@generated
 def take_lanes(
-    builder: Any, seen: _Memory, begin: Any, factor: Any, made: _Memory, place: Any
+    builder: Any, seen: Memory, begin: Any, factor: Any, made: Memory, place: Any
 ) -> None:
     """Copy eight numbers, multiplied."""
     lanes = _Lanes(builder, seen.read(begin)) * _Lanes(builder, everywhere(builder, factor))
@@ -406,14 +406,14 @@ def take_lanes(
 
 
 @intrinsic
-@_loop
+@generated
 def multiply_groups(
     builder: Any,
     each: int,
-    matrix: _Memory,
+    matrix: Memory,
     entry: Any,
     step: Any,
-    seen: _Memory,
+    seen: Memory,
     group: Any,
     stride: Any,
 ) -> None:
@@ -446,9 +446,9 @@ def multiply_groups(
 
 
 @intrinsic
-@_loop
+@generated
 def pairs_to_spectrum(
-    builder: Any, values: _Memory, near: Any, far: Any, other: Any, turns: _Memory, x: Any
+    builder: Any, values: Memory, near: Any, far: Any, other: Any, turns: Memory, x: Any
 ) -> None:
     """Find X(x) and X(W/2 - x) of Z at both frequencies; see `spectra`.
 
@@ -471,9 +471,9 @@ def pairs_to_spectrum(
 
 
 @intrinsic
-@_loop
+@generated
 def spectrum_to_pairs(
-    builder: Any, values: _Memory, near: Any, far: Any, turns: _Memory, x: Any
+    builder: Any, values: Memory, near: Any, far: Any, turns: Memory, x: Any
 ) -> None:
     """Find Z(x) and Z(W/2 - x) of X at both, imaginary parts first; see `pairs_to_spectrum`."""
     one, other = _read_complex(builder, values, near), _read_complex(builder, values, far)
@@ -490,11 +490,11 @@ def spectrum_to_pairs(
     _write_complex(builder, values, far, z)
 
 
-def _read_complex(builder: Any, values: _Memory, place: Any) -> _Complex:
+def _read_complex(builder: Any, values: Memory, place: Any) -> _Complex:
     parts = (values.read(place), values.read(builder.add(place, place.type(LANES))))
     return _Complex(*(_Lanes(builder, part) for part in parts))
 
 
-def _write_complex(builder: Any, values: _Memory, place: Any, found: _Complex) -> None:
+def _write_complex(builder: Any, values: Memory, place: Any, found: _Complex) -> None:
     values.write(found.real.value, place)
     values.write(found.imaginary.value, builder.add(place, place.type(LANES)))

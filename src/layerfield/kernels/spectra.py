@@ -31,9 +31,9 @@ from jaxtyping import Complex, Float
 from torch import Tensor
 
 from layerfield.kernels.blends import Blend
-from layerfield.kernels.compiled import compiled
+from layerfield.kernels.compiled import compiled, native
 from layerfield.kernels.planes import transformed, transformed_back
-from layerfield.kernels.symbols import Symbol, row_of
+from layerfield.kernels.symbols import BESIDE, Symbol, row_of
 
 _HALF, _ONE = np.float32(0.5), np.float32(1)  # whole numbers would make the rest double
 
@@ -171,50 +171,96 @@ def turns_of(width: int) -> Turns:
     return Turns(np.cos(angle).astype(np.float32), np.sin(angle).astype(np.float32))
 
 
+_ask_for = native("layerfield.kernels.ahead", "ask_for")
+_multiply_rows = native("layerfield.kernels.matrix_lanes", "multiply_rows")
+
+
+class _Matrices(NamedTuple):
+    """What leads from Z and R to Z and R: rows of the entries [k, m], k <= m.
+
+    Args:
+        forth: from Z to Z.
+        back: from R to R.
+        across: from one to the other.
+    """
+
+    forth: np.ndarray
+    back: np.ndarray
+    across: np.ndarray
+
+
 @compiled
 def solve_rows(spectrum, symbol, turns, terms, other, window, by_row, begin, end):
     """Row y and that of the opposite frequencies say all of Z at both."""
     items, number, channels, height, twice = spectrum.shape
-    half = twice // 2
-    low = np.zeros((number, number, half), spectrum.dtype)  # T of fx
-    high = np.zeros((number, number, half), spectrum.dtype)  # of fx + W / 2
-    forth = np.zeros((number, number, twice), spectrum.dtype)  # from Z to Z
-    back = np.zeros((number, number, twice), spectrum.dtype)  # from R to R
-    across = np.zeros((number, number, twice), spectrum.dtype)  # from one to the other
-    here = np.zeros((number, twice), spectrum.dtype)  # Z
-    there = np.zeros((number, twice), spectrum.dtype)  # R
-    value = np.zeros((2, twice), spectrum.dtype)  # of both
+    wide = (twice + BESIDE - 1) // BESIDE * BESIDE
+    forth = np.zeros((number, number, wide), spectrum.dtype)  # arrays of their own: what may be
+    back = np.zeros((number, number, wide), spectrum.dtype)  # the same memory is not vectorised
+    across = np.zeros((number, number, wide), spectrum.dtype)
+    matrices = _Matrices(forth, back, across)
+    low = np.zeros((number, number, twice // 2), spectrum.dtype)  # T of fx
+    high = np.zeros((number, number, twice // 2), spectrum.dtype)  # of fx + W / 2
+    seen = np.zeros((2, number, wide), spectrum.dtype)  # Z and R
+    made = np.zeros((2, number, wide), spectrum.dtype)
     for y in range(begin, end):
         opposite = y if by_row else (height - y) % height
-        small, turned, is_low = _small_rows(y, len(window), by_row)
+        rows = _small_rows(y, len(window), by_row)
         if y == begin or not by_row:
-            for k in range(number):
-                for m in range(k, number):
-                    row, factor = row_of(symbol, k, m, 0 if by_row else y)
-                    _read_times(low[k, m], row, factor)
-                    row, factor = row_of(symbol, k, m, 0 if by_row else opposite)
-                    _read_back(high[k, m], row, factor)
-            invert(low, terms, y == 0)
-            invert(high, terms, False)
-            for k in range(number):
-                for m in range(k, number):
-                    if is_low:
-                        _leave_out_low(low[k, m], high[k, m], window[small], window[turned])
-                    entries = low[k, m], high[k, m], forth[k, m], back[k, m], across[k, m]
-                    _pair(entries, turns)
+            places = (0, 0) if by_row else (y, opposite)
+            _find_matrices(matrices, (low, high), symbol, places, terms, window, rows, turns)
         for item in range(items):
             for channel in range(channels):
+                if channel + 1 < channels:
+                    _ask_for_rows(spectrum, item, channel + 1, y, opposite)
+                elif y + 1 < end:
+                    _ask_for_rows(spectrum, 0, 0, y + 1, y + 1 if by_row else height - y - 1)
                 for k in range(number):
-                    _read(here[k], spectrum[item, k, channel, y])
-                    _turn_round(spectrum[item, k, channel, opposite], there[k])
+                    _read(seen[0, k], spectrum[item, k, channel, y])
+                    _turn_round(spectrum[item, k, channel, opposite], seen[1, k])
+                _multiply(matrices, seen, made)
                 for k in range(number):
-                    _multiply(forth, across, here, there, k, value[0])
-                    _multiply(back, across, there, here, k, value[1])
-                    if is_low:
-                        count = window.shape[1] - 1  # without the highest
-                        _add_low(value, other[item, k, channel], small, turned, count, turns)
-                    _turn_round(value[1], spectrum[item, k, channel, opposite])
-                    _read(spectrum[item, k, channel, y], value[0])
+                    if rows[2]:
+                        _add_low(made[:, k, :twice], other[item, k, channel], rows, window, turns)
+                    _turn_round(made[1, k, :twice], spectrum[item, k, channel, opposite])
+                    _read(spectrum[item, k, channel, y], made[0, k])
+
+
+@compiled
+def _ask_for_rows(spectrum, item, channel, y, opposite):
+    """Those of all layers."""
+    for k in range(spectrum.shape[1]):
+        _ask_for(spectrum[item, k, channel, y])
+        _ask_for(spectrum[item, k, channel, opposite])
+
+
+@compiled
+def _find_matrices(made, room, symbol, places, terms, window, rows, turns):
+    """Find those of two rows of frequencies."""
+    (low, high), (y, opposite), (small, turned, is_low) = room, places, rows
+    number = len(low)
+    for k in range(number):
+        for m in range(k, number):
+            row, factor = row_of(symbol, k, m, y)
+            _read_times(low[k, m], row, factor)
+            row, factor = row_of(symbol, k, m, opposite)
+            _read_back(high[k, m], row, factor)
+    invert(low, terms, y == 0)
+    invert(high, terms, False)
+    for k in range(number):
+        for m in range(k, number):
+            if is_low:
+                _leave_out_low(low[k, m], high[k, m], window[small], window[turned])
+            entries = low[k, m], high[k, m], made.forth[k, m], made.back[k, m], made.across[k, m]
+            _pair(entries, turns)
+
+
+@compiled
+def _multiply(matrices, seen, made):
+    """Find Z' and R' of Z and R of all layers."""
+    forth, back, across = matrices
+    entries = forth.reshape(-1), back.reshape(-1), across.reshape(-1)
+    numbers = seen[0].reshape(-1), seen[1].reshape(-1), made[0].reshape(-1), made[1].reshape(-1)
+    _multiply_rows(seen.shape[1], seen.shape[2], *entries, *numbers)
 
 
 @compiled
@@ -236,9 +282,10 @@ def _leave_out_low(low, high, window, opposite):
 
 
 @compiled
-def _add_low(value, other, row, opposite, count, turns):
+def _add_low(value, other, rows, window, turns):
     """Add X of low frequencies to Z and R."""
-    half = value.shape[1] // 2
+    row, opposite, _ = rows
+    half, count = value.shape[1] // 2, window.shape[1] - 1  # without the highest
     for x in range(count):
         real, imaginary = other[row, 2 * x], other[row, 2 * x + 1]
         _add_one(value, x, real, imaginary, turns.cos[x], turns.sin[x])
@@ -313,7 +360,8 @@ def _put_row(result, here, there, turns, factor):
 
 @compiled
 def _read(entry, row):
-    for x in range(len(entry)):
+    """As many numbers as both have."""
+    for x in range(min(len(entry), len(row))):
         entry[x] = row[x]
 
 
@@ -350,19 +398,6 @@ def _pair(entries, turns):
         forth[2 * x] = forth[2 * x + 1] = mean - turns.sin[x] * half
         back[2 * x] = back[2 * x + 1] = mean + turns.sin[x] * half
         across[2 * x] = across[2 * x + 1] = turns.cos[x] * half
-
-
-@compiled
-def _multiply(matrix, across, seen, opposite, k, value):
-    """Find row k of symmetric matrices, of which there is the part above the diagonal, times Z."""
-    for m in range(len(seen)):
-        one, other, z, r = _entry(matrix, k, m), _entry(across, k, m), seen[m], opposite[m]
-        if m == 0:
-            for x in range(len(value)):
-                value[x] = one[x] * z[x] + other[x] * r[x]
-        else:
-            for x in range(len(value)):
-                value[x] += one[x] * z[x] + other[x] * r[x]
 
 
 @compiled

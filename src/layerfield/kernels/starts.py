@@ -7,8 +7,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from layerfield.kernels.blends import planes_of
 from layerfield.kernels.compiled import compiled
-from layerfield.kernels.strips import Side
+from layerfield.kernels.strips import Side, Sides
 
 
 class Even(NamedTuple):
@@ -54,14 +55,41 @@ def shared_start(
         rest: is taken.
         size: height and width of the torus, no smaller than the layers.
     """
-    even, (*batch, height, width) = even_of(seen, shares, rest), seen.shape
+    even, result = even_of(seen, shares, rest), _torus_of(seen, size)
+    made, known = planes_of(result), planes_of(seen.contiguous())
+    _share.in_spans(made, known, even, count=len(made) * size[0], numbers=made.size)
+    return result
+
+
+def shared_rim(
+    seen: Float[Tensor, "*batch layer c ly lx"],
+    shares: Float[Tensor, "layer 1 ly lx"],
+    rest: Float[Tensor, "*batch 1 c 1 1"],
+    size: tuple[int, int],
+    sides: Sides,
+) -> Float[Tensor, "*batch layer c ty tx"]:
+    """Return the rows and columns of a `shared_start` that strips are found of.
+
+    The other pixels are not written on: they are what was in memory.
+    """
+    even, result = even_of(seen, shares, rest), _torus_of(seen, size)
+    made, known, (down, across, _) = planes_of(result), planes_of(seen.contiguous()), sides
+    _share_rims.in_spans(made, known, even, down, across, count=len(made), numbers=made.size)
+    return result
+
+
+def _torus_of(seen: Tensor, size: tuple[int, int]) -> Tensor:
+    *batch, height, width = seen.shape
     if size[0] < height or size[1] < width:
         raise ValueError(f"found a torus {size}, expected no smaller one than {(height, width)}")
-    result = torch.empty(*batch, *size)
-    made, known = (each.detach().contiguous().flatten(end_dim=-3) for each in (result, seen))
-    given = made.numpy(), known.numpy(), even
-    _share.in_spans(*given, count=len(made) * size[0], numbers=made.numel())
-    return result
+    return torch.empty(*batch, *size)
+
+
+@compiled
+def _share_rims(result, seen, even, down, across, begin, end):
+    """Those of planes from and to."""
+    for plane in range(begin, end):
+        share_rim(result[plane], seen, even, plane, down, across)
 
 
 @compiled

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from layerfield.kernels.compiled import compiled
 
+BESIDE = 32  # numbers of a row that are multiplied side by side; rows are filled up to multiples
 _ROUNDING = 1e-6  # share of the largest entry
 _ONE = np.float32(1)
 

@@ -7,11 +7,15 @@ groups (see `lanes`): frequencies 0 to W / 2, eight at a time from the first row
 that columns are read as they lie in memory. Rows are asked for while those before them are
 transformed, and what is written is not fetched first.
 
+Where something else takes the place of low frequencies, their columns are transformed before, and
+what is found of them is put in when they are multiplied.
+
 Planes one after the other, as `planes` and `spectra` have them, go over memory twice as often.
 Where they fit into the cache that costs nothing.
 """
 
 import math
+from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -20,15 +24,16 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.kernels.blends import Blend, blend_row, planes_of
+from layerfield.kernels.blends import NOTHING, Blend, blend_row, planes_of, shows_layers
 from layerfield.kernels.compiled import compiled, native
 from layerfield.kernels.fourier import transform_groups, turns_of_length
 from layerfield.kernels.radices import LANES, radices_of
-from layerfield.kernels.spectra import Terms, invert, refuse_other_matrices
+from layerfield.kernels.spectra import Terms, invert, numbers_of, refuse_other_matrices
 from layerfield.kernels.symbols import Symbol, row_of
 from layerfield.kernels.transforms import note_transform
 
 _GROUP = 2 * LANES
+_ONE = np.float32(1)
 _LINE = 4 * _GROUP  # bytes that memory is fetched in
 _APART = 1  # times eight rows between columns: in powers of two, caches put them in one place
 LARGE = 1 << 20  # pixels of a plane from which on memory is what takes time
@@ -52,11 +57,38 @@ class _Plan(NamedTuple):
     turns: np.ndarray
 
 
+class LowApart(NamedTuple):
+    """Low frequencies that are solved by themselves.
+
+    Args:
+        window: shares of those, `[fy, fx]` as of a smaller torus; its highest do not count.
+        solve: returns, of the spectrum of these shares, what takes their place.
+    """
+
+    window: Float[Tensor, "fy fx"]
+    solve: Callable[[Tensor], Tensor]
+
+
+class _Low(NamedTuple):
+    """What was found of low frequencies.
+
+    Args:
+        spectrum: `[item, layer, channel, fy, 2 fx]`.
+        window: shares of what it replaces, `[fy, fx]`.
+        groups: so many groups of columns, from the first on, have been transformed.
+    """
+
+    spectrum: np.ndarray
+    window: np.ndarray
+    groups: int
+
+
 def solved_in_three_passes(
     planes: Blend,
     symbol: Symbol,
     terms: Terms,
-    added: Blend,
+    added: Blend | None = None,
+    apart: LowApart | None = None,
 ) -> Float[Tensor, "*batch layer c ty tx"] | None:
     """Return planes times g (G + rho I)^-1 + k I and what is added, or None where that is no use.
 
@@ -67,6 +99,7 @@ def solved_in_three_passes(
         symbol: G(f).
         terms: rho, b, g and k; see `spectra`.
         added: to what comes out.
+        apart: what is solved by itself.
 
     Raises:
         ValueError: matrices of another size.
@@ -85,19 +118,47 @@ def solved_in_three_passes(
     for back in (False, True):
         note_transform(pairs, by_row=False, back=back)
     count, numbers = items * number * channels * tiles, planes.shadow.numel()
-    flat = work.reshape(-1, *work.shape[-2:])
+    flat, factor = work.reshape(-1, *work.shape[-2:]), 2 / (height * width)
     _rows_forth.in_spans(flat, planes.sum(), plan, count=count, numbers=numbers)
-    factor = 2 / (height * width)
+    low = _no_low(work) if apart is None else _found_low(work, apart, plan, batch, factor)
     kept, gain = terms.kept * factor, terms.gain * factor
     given = Terms._make(map(np.float32, terms._replace(gain=gain, kept=kept)))
     count_solved = groups * items * channels
     each = (0,) * number  # how many there are is known when loops are compiled
-    _columns_solved.in_spans(work, symbol, given, plan, each, count=count_solved, numbers=numbers)
+    solved = work, symbol, given, plan, low, each
+    _columns_solved.in_spans(*solved, count=count_solved, numbers=numbers)
     result = torch.empty(planes.shadow.shape)
-    made = planes_of(result)
-    last = made, flat, added.sum(), plan, _is_aligned(made)
-    _rows_back.in_spans(*last, count=count, numbers=numbers)
+    made, rest = planes_of(result), NOTHING if added is None else added.sum()
+    _rows_back.in_spans(made, flat, rest, plan, _is_aligned(made), count=count, numbers=numbers)
     return result
+
+
+def _no_low(work: np.ndarray) -> _Low:
+    nothing = np.zeros((*work.shape[:3], 0, 0), np.float32)
+    return _Low(nothing, nothing[0, 0, 0], 0)
+
+
+def _found_low(
+    work: np.ndarray, apart: LowApart, plan: _Plan, batch: list[int], factor: float
+) -> _Low:
+    """Return what takes the place of low frequencies, whose columns are transformed.
+
+    Args:
+        work: rows that are.
+        apart: what is solved by itself.
+        plan: of the planes.
+        batch: of them.
+        factor: what to multiply it by.
+    """
+    (rows, columns), planes = apart.window.shape, math.prod(work.shape[:3])
+    groups, window = math.ceil((columns - 1) / LANES), apart.window.contiguous().numpy()
+    flat, numbers = work.reshape(planes, *work.shape[3:]), planes * groups * work.shape[-1]
+    _columns_forth.in_spans(flat, plan, groups, count=planes * groups, numbers=numbers)
+    seen = torch.empty(*batch, *work.shape[1:3], rows, columns, dtype=torch.complex64)
+    made = numbers_of(seen)
+    _read_low.in_spans(made, flat, window, plan, count=planes * rows, numbers=made.size)
+    found = numbers_of(apart.solve(seen) * factor, *work.shape[1:3])
+    return _Low(found, window, groups)
 
 
 def _is_aligned(array: np.ndarray) -> bool:
@@ -209,14 +270,65 @@ def _ask_for_groups(work, number, tiles):
 def _ask_for_rows(known, number, tiles):
     """Eight of what is added up."""
     plane, tile = divmod(number, tiles)
-    for y in range(tile * LANES, min((tile + 1) * LANES, known.shadow.shape[1])):
-        _ask_for(known.shadow[plane, y])
+    for y in range(tile * LANES, (tile + 1) * LANES):
+        if y < known.shadow.shape[1] and shows_layers(known):
+            _ask_for(known.shadow[plane, y])
         if y < known.other.shape[1]:
             _ask_for(known.other[plane, y])
 
 
 @compiled
-def _columns_solved(work, symbol, terms, plan, each, begin, end):
+def _columns_forth(work, plan, groups, begin, end):
+    """Eight columns at a time, from and to: the first groups of all planes, one after the other."""
+    height = len(plan.turns_down) // 2
+    other = np.zeros(height * _GROUP, np.float32)
+    for number in range(begin, end):
+        plane, group = divmod(number, groups)
+        made, turns = work[plane, group], plan.turns_down
+        if not transform_groups(plan.down, height, made, 0, _GROUP, other, made, turns):
+            _copy(made, other)
+
+
+@compiled
+def _read_low(result, work, window, plan, begin, end):
+    """Rows of all planes, from and to: shares of low frequencies, as those of a smaller torus."""
+    rows, height = result.shape[1], len(plan.turns_down) // 2
+    for number in range(begin, end):
+        plane, row = divmod(number, rows)
+        made, place = result[plane, row], _row_in(height, row, rows) * _GROUP
+        made[:] = 0
+        if 2 * row != rows:
+            for x in range(window.shape[1] - 1):
+                group, lane = divmod(x, LANES)
+                seen, share = work[plane, group], window[row, x]
+                made[2 * x] = share * seen[place + lane]
+                made[2 * x + 1] = share * seen[place + LANES + lane]
+
+
+@compiled
+def _row_in(height, row, rows):
+    """Return where a row of a smaller torus is."""
+    return row if 2 * row < rows else height - rows + row
+
+
+@compiled
+def _replace_low(made, height, low, item, k, channel, tile):
+    """Put what was found in the place of shares of a group of columns; real parts come last."""
+    other, window, first = low.spectrum[item, k, channel], low.window, tile * LANES
+    rows, lanes = len(window), min(LANES, window.shape[1] - 1 - first)
+    for row in range(rows):
+        if 2 * row != rows:
+            place = _row_in(height, row, rows) * _GROUP
+            for lane in range(lanes):
+                x = first + lane
+                rest = _ONE - window[row, x]
+                imaginary, real = made[place + lane], made[place + LANES + lane]
+                made[place + lane] = rest * imaginary + other[row, 2 * x + 1]
+                made[place + LANES + lane] = rest * real + other[row, 2 * x]
+
+
+@compiled
+def _columns_solved(work, symbol, terms, plan, low, each, begin, end):
     """Eight columns at a time, from and to: of all layers of one channel, one after the other."""
     items, number, channels = work.shape[:3]
     height = symbol.down.shape[2]
@@ -236,13 +348,17 @@ def _columns_solved(work, symbol, terms, plan, each, begin, end):
             last = tile
         for k in range(number):
             there, made = work[item, k, channel, tile], seen[k]
-            if not transform_groups(plan.down, height, there, 0, _GROUP, other, made, turns):
+            if tile < low.groups:
+                _copy(made, there)
+            elif not transform_groups(plan.down, height, there, 0, _GROUP, other, made, turns):
                 _copy(made, other)
         for y in range(height):
             group, stride = y * _GROUP, height * _GROUP
             _multiply_groups(each, entries, y * LANES, height * LANES, values, group, stride)
         for k in range(number):
             there, given = work[item, k, channel, tile], seen[k]
+            if tile < low.groups:
+                _replace_low(given, height, low, item, k, channel, tile)
             is_in_one = transform_groups(plan.down, height, given, 0, _GROUP, other, one, turns)
             made = one if is_in_one else other
             for y in range(height):

@@ -10,6 +10,7 @@ from torch import Tensor
 from layerfield.frequencies import Apart, Spectral
 from layerfield.kernels.blends import Blend, Shares
 from layerfield.kernels.small_steps import Coarse, steps_at_once
+from layerfield.kernels.starts import shared_rim
 from layerfield.kernels.steps import BalancedStart, steps_in_one_call
 from layerfield.solve import Problem
 from layerfield.solvers.admm_steps import (
@@ -139,13 +140,20 @@ class LearnedAdmm:
         spectral, apart = problem.gram.spectral, None
         share = 1 / (spectral.weight * len(spectral.symbol))
         a, rho = constants.relaxation, constants.penalty * spectral.weight
-        data = right_hand_side(problem, problem.even_start(problem.gram.torus), Shares(0, 0, 1))
+        data = right_hand_side(problem, self._rim(problem), Shares(0, 0, 1))
         if grid is not None:
             solve = partial(self._solved_coarsely, grid, bounds=problem.bounds)
             apart = Apart(grid, solve)
         # z + a (x - z) with z = share b, u = 0
         gain, kept = a * (1 / rho + share), (1 - a) * share
         return spectral.solved_pixels(data, constants.penalty, BALANCE, gain, kept, apart)
+
+    def _rim(self, problem: Problem) -> Tensor:
+        """Return the balanced start, of which no more is needed here than what strips show."""
+        gram, data = problem.gram, problem.back_projected
+        if gram.sides is None or not gram.spectral.serves(data):
+            return problem.even_start(gram.torus)
+        return shared_rim(data, *problem.even_shares, gram.torus, gram.sides)
 
     def _coarse(self, grid: Spectral, bounds: tuple[float, float]) -> Coarse:
         """Return the coarse steps for compiled loops."""

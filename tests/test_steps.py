@@ -7,6 +7,7 @@ from importlib import import_module
 from inspect import isclass
 from pathlib import Path
 from pkgutil import iter_modules
+from unittest.mock import Mock
 
 import pytest
 import torch
@@ -218,7 +219,7 @@ def test_matrices_of_another_size_are_refused():
 
 
 def test_memory_that_is_short_is_an_error(monkeypatch):
-    monkeypatch.setattr(steps._make_steps, "region", lambda *_: True)
+    monkeypatch.setattr(steps._make_steps, "region", Mock(return_value=True))
     with pytest.raises(MemoryError, match="compiled loop"):
         in_one_call(posed("three layers"))
 

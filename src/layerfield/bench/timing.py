@@ -8,7 +8,6 @@ from typing import TypeVar
 
 import torch
 
-from layerfield.kernels.compiled import compilations
 from layerfield.solve import Clock
 
 Made = TypeVar("Made")
@@ -62,13 +61,9 @@ def timed(
         run: what to time.
         device: that it runs on.
         repeats: runs that count, at least; they go on for half a second, or up to the square of it.
-        cap: a warm-up of more than so many seconds is the only run, and counts; one in which loops
-            were compiled, as in the first runs of a new installation, is made again.
+        cap: a warm-up of more than so many seconds is the only run, and counts.
     """
-    with compilations() as compiled:
-        first, made = once(run, device)
-    if first > cap and compiled:
-        first, made = once(run, device)
+    first, made = once(run, device)
     if first > cap:
         return Seconds.of([first]), made
     times = list[float]()

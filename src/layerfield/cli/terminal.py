@@ -10,9 +10,11 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rich.table import Table
 
 from layerfield.evaluate import Row, tables
+from layerfield.kernels.preparation import PREPARATION
 from layerfield.light_field import LightField
 
 _PIPE_WIDTH = 200  # tables in a pipe are not squeezed into 80 columns
+_COMPILING = "compiling for this processor, once: about a minute"
 _out = Console(highlight=False, markup=False, emoji=False)  # paths may hold [ and :
 _err = Console(stderr=True, highlight=False, markup=False, emoji=False)
 if not _out.is_terminal:
@@ -38,11 +40,18 @@ def status(total: int | None = None) -> Iterator[Callable[..., None]]:
     ) as progress:
         task = progress.add_task("", total=total)
 
+        shown = ""
+
         def tick(what: str, done: int | None = None) -> None:
-            advance = 1 if done is None and total is not None else 0
+            nonlocal shown
+            shown, advance = what, 1 if done is None and total is not None else 0
             progress.update(task, description=what, completed=done, advance=advance or None)
 
-        yield tick
+        def tell(compiling: bool) -> None:
+            progress.update(task, description=_COMPILING if compiling else shown)
+
+        with PREPARATION.told(tell):
+            yield tick
 
 
 def report(out: Path, field: LightField, facts: dict[str, Any]) -> None:

@@ -3,7 +3,7 @@
 import hashlib
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from layerfield.kernels.preparation import PREPARATION, listen_to_compiler
 from layerfield.kernels.threads import FEW, SPANS, in_threads, parallel_address
 
 # As C compilers have it: sums may be reordered, and nothing infinite comes in.
@@ -43,15 +44,6 @@ def plain() -> Iterator[None]:
         yield
     finally:
         _PLAIN.reset(before)
-
-
-@contextmanager
-def compilations() -> Iterator[Sequence[object]]:
-    """Keep a list of what is compiled inside a `with`; what is read from disk is not on it."""
-    from numba.core.event import install_recorder  # noqa: PLC0415
-
-    with install_recorder("numba:compile") as recorder:
-        yield recorder.buffer
 
 
 def is_plain() -> bool:
@@ -107,7 +99,10 @@ class compiled:  # noqa: N801 - a decorator
         if (address := parallel_address()) is not None:
             listed = _NO_NEEDS if needs is None else needs
             done = np.zeros(len(listed), np.int32)
-            if self.region(arguments, count, listed, done, threads, address):
+            given = arguments, count, listed, done, threads, address
+            if not self.region.overloads:
+                self._prepare_region(given)
+            if self.region(*given):
                 raise MemoryError("there is not enough memory for a compiled loop")
         elif threads == 1 or needs is not None:
             self(*arguments, 0, count)
@@ -116,7 +111,13 @@ class compiled:  # noqa: N801 - a decorator
             spans = math.ceil(count / length)
             in_threads(lambda n: self(*arguments, n * length, min(count, (n + 1) * length)), spans)
 
+    def _prepare_region(self, given: tuple[Any, ...]) -> None:
+        """Compile it for such arguments, or read what was compiled of it."""
+        with PREPARATION.going_on():
+            self.region.compile(tuple(map(self.region.typeof_pyval, given)))
+
     @cached_property
+    @PREPARATION.going_on()
     def dispatcher(self) -> Callable[..., Any]:
         """Numba's own."""
         import numba  # noqa: PLC0415
@@ -126,6 +127,7 @@ class compiled:  # noqa: N801 - a decorator
         return _kept(numba.njit, self._resolved, **_LOOPS, **put_in, **_WHOLE)
 
     @cached_property
+    @PREPARATION.going_on()
     def address(self) -> int:
         """Where C, and compiled functions, call it as `long (*)(void *, void *)`.
 
@@ -147,7 +149,8 @@ class compiled:  # noqa: N801 - a decorator
         return FunctionType(code, known, self._function.__name__)
 
     @cached_property
-    def region(self) -> Callable[..., int]:
+    @PREPARATION.going_on()
+    def region(self) -> Any:
         """What calls it for spans, on all threads; see `region_of`."""
         import numba  # noqa: PLC0415
 
@@ -181,6 +184,7 @@ class native:  # noqa: N801 - beside `compiled`
 
 def _kept(compile_for: Callable[..., Any], function: FunctionType, **options: Any) -> Any:
     """Return what Numba makes of a function, kept on disk where there is a place for it."""
+    listen_to_compiler()
     function.__qualname__ = f"{function.__name__}_{_fingerprint()}"  # names what is kept on disk
     try:
         return compile_for(cache=True, **options)(function)

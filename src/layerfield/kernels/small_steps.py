@@ -1,6 +1,6 @@
 """Steps of ADMM on planes so small that a whole run of them stays in the cache."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Complex
@@ -29,6 +29,7 @@ from layerfield.kernels.transforms import Call, ForthAndBack, forth_and_back, tr
 _SMALL = 1 << 16  # pixels of a plane; from there on more threads are worth more than the cache
 _NONE = np.zeros((0, 0, 0), np.float32)
 _ONE = np.float32(1)
+FIRST: Any = np.int64(0)  # row; a 0 would have loops compiled once more, for it alone
 
 
 class Coarse(NamedTuple):
@@ -130,14 +131,14 @@ def _solve_colour(spectrum, item, channel, steps, factor):
     for k in range(number):
         low = spectrum[item, k, channel].reshape(1, height, twice)
         plane = planes[k].reshape(1, height, width)
-        put_low(plane, low, turns, _ONE / (points * steps.pixels), by_row, 0, height)
+        put_low(plane, low, turns, _ONE / (points * steps.pixels), by_row, FIRST, height)
         transform_one(planes[k], steps.back)
     shadow = _after_steps(planes, steps, points)
     for k in range(number):
         low = spectrum[item, k, channel].reshape(1, height, twice)
         plane = shadow[k].reshape(1, height, width)
         transform_one(shadow[k], steps.forth)
-        read_low(low, plane, turns, by_row, 0, height)
+        read_low(low, plane, turns, by_row, FIRST, height)
         for y in range(height):
             _scale(low[0, y], steps.pixels * factor)
 
@@ -164,7 +165,7 @@ def _after_steps(data, steps, points):
             transform_one(work[k], steps.forth)
         spectrum = work.reshape(1, number, 1, height, width)
         terms = terms_of(constants, system, points)
-        solve_rows(spectrum, system.symbol, system.turns, terms, other, window, by_row, 0, rows)
+        solve_rows(spectrum, system.symbol, system.turns, terms, other, window, by_row, FIRST, rows)
         ago = _NONE if constants[4] == 0 else before
         rest = Sum(shadow, ago, strips, shares_of_rest(constants), low, high)
         for k in range(number):

@@ -18,6 +18,7 @@ from layerfield.kernels.blends import Sum, corners_of
 from layerfield.kernels.compiled import compiled
 from layerfield.kernels.planes import back, forth
 from layerfield.kernels.small_steps import (
+    FIRST,
     Coarse,
     SmallSteps,
     small_steps,
@@ -327,17 +328,18 @@ def _solve_coarsely(spectrum, start, turns, begin, end):
         item, channel = divmod(colour, channels)
         for k in range(number):
             low, plane = start.other[item, k, channel], spectrum[item, k, channel]
-            _cut_low(low, plane, start.window, turns)
+            _cut_low(low, plane, start.window, turns, start.coarse.system.by_row)
     points = np.float32(height * (width // 2))
     solve_low(start.other, start.coarse, _ONE / points, begin, end)
 
 
 @compiled
-def _cut_low(low, plane, window, turns):
+def _cut_low(low, plane, window, turns, by_row):
     """Find the share of low frequencies that is solved by itself."""
     height, width = plane.shape
     rows, twice = low.shape
-    read_low(low.reshape(1, rows, twice), plane.reshape(1, height, width), turns, False, 0, rows)
+    made, seen = low.reshape(1, rows, twice), plane.reshape(1, height, width)
+    read_low(made, seen, turns, by_row, FIRST, rows)
     for y in range(rows):
         for x in range(twice):
             low[y, x] *= window[y, x // 2]

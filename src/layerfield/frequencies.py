@@ -16,7 +16,8 @@ from torch import Tensor
 
 from layerfield.kernels.blends import Blend
 from layerfield.kernels.compiled import serve
-from layerfield.kernels.spectra import LowPart, Pairs, Terms
+from layerfield.kernels.inverses import Terms
+from layerfield.kernels.spectra import LowPart, Pairs
 from layerfield.kernels.symbols import Symbol, symbol_of
 from layerfield.kernels.systems import System, system_of
 from layerfield.kernels.three_passes import LowApart, solved_in_three_passes

@@ -32,19 +32,11 @@ from torch import Tensor
 
 from layerfield.kernels.blends import Blend
 from layerfield.kernels.compiled import compiled, native
+from layerfield.kernels.inverses import Terms, invert
 from layerfield.kernels.planes import transformed, transformed_back
 from layerfield.kernels.symbols import BESIDE, Symbol, row_of
 
 _HALF, _ONE = np.float32(0.5), np.float32(1)  # whole numbers would make the rest double
-
-
-class Terms(NamedTuple):
-    """Of g (G + rho I)^-1 + k I: rho; b of b (I - 1/K), added to G at frequency zero; g; and k."""
-
-    rho: float
-    balance: float
-    gain: float
-    kept: float = 0.0
 
 
 class LowPart(NamedTuple):
@@ -313,9 +305,15 @@ def read_low(result, spectrum, turns, by_row, begin, end):
         if by_row:
             _read_row(result[plane, row], spectrum[plane, row], spectrum[plane, row], turns)
         elif 2 * row != rows:
-            y = row if 2 * row < rows else height - rows + row
+            y = row_in(height, row, rows)
             other = spectrum[plane, (height - y) % height]
             _read_row(result[plane, row], spectrum[plane, y], other, turns)
+
+
+@compiled
+def row_in(height, row, rows):
+    """Return where a row of a smaller torus is."""
+    return row if 2 * row < rows else height - rows + row
 
 
 @compiled
@@ -398,71 +396,3 @@ def _pair(entries, turns):
         forth[2 * x] = forth[2 * x + 1] = mean - turns.sin[x] * half
         back[2 * x] = back[2 * x + 1] = mean + turns.sin[x] * half
         across[2 * x] = across[2 * x + 1] = turns.cos[x] * half
-
-
-@compiled
-def invert(matrix, terms, is_first):
-    """Find g (G + rho I)^-1 + k I: sweeps over all pivots end with minus the inverse."""
-    number = len(matrix)
-    for k in range(number):
-        _add(matrix[k, k], terms.rho)
-    if is_first:
-        _balance(matrix, terms.balance)
-    for k in range(number):
-        _sweep(matrix, k)
-    for k in range(number):
-        for m in range(k, number):
-            _scale(matrix[k, m], -terms.gain)
-        _add(matrix[k, k], terms.kept)
-
-
-@compiled
-def _balance(matrix, balance):
-    number = len(matrix)
-    for k in range(number):
-        for m in range(k, number):
-            matrix[k, m, 0] += balance * ((1 if k == m else 0) - 1 / number)
-
-
-@compiled
-def _sweep(matrix, k):
-    pivot = matrix[k, k]
-    for x in range(len(pivot)):
-        pivot[x] = _ONE / pivot[x]
-    for i in range(len(matrix)):
-        for j in range(i, len(matrix)):
-            if k not in (i, j):
-                _eliminate(matrix[i, j], _entry(matrix, i, k), _entry(matrix, j, k), pivot)
-    for i in range(len(matrix)):
-        if i != k:
-            _divide(_entry(matrix, i, k), pivot)
-    _scale(pivot, np.float32(-1))
-
-
-@compiled
-def _entry(matrix, i, k):
-    return matrix[min(i, k), max(i, k)]
-
-
-@compiled
-def _add(entry, number):
-    for x in range(len(entry)):
-        entry[x] += number
-
-
-@compiled
-def _scale(entry, number):
-    for x in range(len(entry)):
-        entry[x] *= number
-
-
-@compiled
-def _divide(entry, pivot):
-    for x in range(len(entry)):
-        entry[x] *= pivot[x]
-
-
-@compiled
-def _eliminate(entry, one, other, pivot):
-    for x in range(len(entry)):
-        entry[x] -= one[x] * other[x] * pivot[x]

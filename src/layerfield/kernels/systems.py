@@ -7,7 +7,8 @@ import numpy as np
 
 from layerfield.kernels.blends import Shares
 from layerfield.kernels.compiled import compiled
-from layerfield.kernels.spectra import Terms, Turns, turns_of
+from layerfield.kernels.inverses import Terms
+from layerfield.kernels.spectra import Turns, turns_of
 from layerfield.kernels.symbols import Symbol
 
 _ZERO: Any = np.float32(0)  # numbers as all others are: whole ones would make them double

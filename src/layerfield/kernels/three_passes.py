@@ -27,8 +27,9 @@ from torch import Tensor
 from layerfield.kernels.blends import NOTHING, Blend, blend_row, planes_of, shows_layers
 from layerfield.kernels.compiled import compiled, native
 from layerfield.kernels.fourier import transform_groups, turns_of_length
+from layerfield.kernels.inverses import Terms, invert
 from layerfield.kernels.radices import LANES, radices_of
-from layerfield.kernels.spectra import Terms, invert, numbers_of, refuse_other_matrices
+from layerfield.kernels.spectra import numbers_of, refuse_other_matrices, row_in
 from layerfield.kernels.symbols import Symbol, row_of
 from layerfield.kernels.transforms import note_transform
 
@@ -295,7 +296,7 @@ def _read_low(result, work, window, plan, begin, end):
     rows, height = result.shape[1], len(plan.turns_down) // 2
     for number in range(begin, end):
         plane, row = divmod(number, rows)
-        made, place = result[plane, row], _row_in(height, row, rows) * _GROUP
+        made, place = result[plane, row], row_in(height, row, rows) * _GROUP
         made[:] = 0
         if 2 * row != rows:
             for x in range(window.shape[1] - 1):
@@ -306,19 +307,13 @@ def _read_low(result, work, window, plan, begin, end):
 
 
 @compiled
-def _row_in(height, row, rows):
-    """Return where a row of a smaller torus is."""
-    return row if 2 * row < rows else height - rows + row
-
-
-@compiled
 def _replace_low(made, height, low, item, k, channel, tile):
     """Put what was found in the place of shares of a group of columns; real parts come last."""
     other, window, first = low.spectrum[item, k, channel], low.window, tile * LANES
     rows, lanes = len(window), min(LANES, window.shape[1] - 1 - first)
     for row in range(rows):
         if 2 * row != rows:
-            place = _row_in(height, row, rows) * _GROUP
+            place = row_in(height, row, rows) * _GROUP
             for lane in range(lanes):
                 x = first + lane
                 rest = _ONE - window[row, x]

@@ -29,12 +29,13 @@ from layerfield import (
     synthesize_frames,
 )
 from layerfield.io import whole_file
-from layerfield.motion import block_motion, framed, moved
+from layerfield.motion import block_motion
 from layerfield.provenance import provenance
 from layerfield.scenes import animated, make_scene, panned, render, travelled
 from layerfield.scenes.scene import EVERYWHERE
 from layerfield.solve import Clock, Problem
 from layerfield.solvers.fourier_admm import FourierAdmm
+from layerfield.solvers.warm_admm import Left, moved_start
 from layerfield.stream import seen_from_the_middle
 from layerfield.synthesizer import pose
 
@@ -173,12 +174,12 @@ def share_of_a_step(shown: Display, given: LightField) -> dict[str, float]:
     """Seconds of the parts of a frame, medians of nine, and of a step of the direct solver."""
     problem = pose(given, shown)
     picture, even = seen_from_the_middle(problem), problem.even_start()
-    motion = block_motion(picture, picture)
+    motion, left = block_motion(picture, picture), Left(even, even, even)
     state = FourierAdmm().init(problem, None)
     parts = {
         "views to even start": lambda: pose(given, shown).even_start(),
         "motion": lambda: block_motion(picture, picture),
-        "moving": lambda: moved(framed(even), motion),
+        "moving": lambda: moved_start(even, left, motion, again=0.5),
         "step": lambda: FourierAdmm().step(problem, state),
     }
     return {name: median_seconds(part) for name, part in parts.items()}

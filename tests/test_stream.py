@@ -4,6 +4,7 @@ import math
 import re
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -22,10 +23,11 @@ from layerfield import (
     synthesize_frames,
 )
 from layerfield.fast import read_learned
+from layerfield.kernels.compiled import plain
 from layerfield.motion import block_motion, comes_from_inside, framed, moved
 from layerfield.scenes import animated, panned, travelled
 from layerfield.solvers.learned_admm import LearnedState
-from layerfield.solvers.warm_admm import WarmAdmm, moved_start
+from layerfield.solvers.warm_admm import Left, WarmAdmm, moved_start
 from layerfield.synthesizer import pose
 from layerfield.training.learned_steps import LearnedSteps
 from layerfield.training.steps_recipe import read_steps_recipe
@@ -272,13 +274,75 @@ def test_what_the_page_shows_runs():
     assert read_steps_recipe(recipe).frames > 1
 
 
+def test_what_the_frame_before_has_changed_is_changed_once_more():
+    """Where nothing moves; within the bounds, and without the dual."""
+    even, before = torch.full((1, 1, 1, 4, 6), 0.3), torch.full((1, 1, 1, 4, 6), 0.2)
+    state, carried = torch.full_like(even, 0.6), torch.full_like(even, 0.5)
+    state[..., 0], state[..., 1] = 1.2, 0.95
+    left, still = Left(state, before, carried), torch.zeros(2, 4, 6)
+    start = moved_start(even, left, still, again=0.5)
+    assert start.state[..., 2:].sub(0.3 + 0.4 + 0.05).abs().max() < 1e-6
+    assert start.carried[..., 2:].sub(0.3 + 0.4).abs().max() < 1e-6
+    assert start.state[..., 0].sub(1.2).abs().max() < 1e-6
+    assert start.state[..., 1].max() == start.carried[..., 0].max() == 1
+    alone = moved_start(even, left, still)
+    torch.testing.assert_close(alone.carried, start.carried)
+    torch.testing.assert_close(alone.state, alone.carried + state - state.clamp(0, 1))
+
+
+@pytest.mark.parametrize("kind", ["still", "by blocks", "by pixels", "far away"])
+@pytest.mark.parametrize("size", [(37, 61), (16, 16), (3, 5)])
+def test_moved_starts_in_one_pass_are_those_of_pytorch(size, kind):
+    generator = torch.Generator().manual_seed(3)
+
+    def planes(*size: int) -> torch.Tensor:
+        return torch.rand(1, 2, 3, *size, generator=generator) * 1.4 - 0.2
+
+    def offsets(height: int, width: int) -> torch.Tensor:
+        return 3 * torch.randn(2, height, width, generator=generator)
+
+    torus = size[0] + 3, size[1] + 8
+    motion = {
+        "still": lambda: torch.zeros(2, *size),
+        "by blocks": lambda: offsets(5, 8).repeat_interleave(8, 1).repeat_interleave(8, 2),
+        "by pixels": lambda: offsets(*size),
+        "far away": lambda: 20 * offsets(*size),
+    }[kind]()[:, : size[0], : size[1]]
+    even, left = planes(*size), Left(planes(*torus), planes(*size), planes(*size))
+    given = partial(moved_start, even, left, motion, again=0.6, bounds=(0.1, 0.9), size=torus)
+    start = given()
+    with plain():
+        expected = given()
+    torch.testing.assert_close(start.state, expected.state, atol=1e-4, rtol=0)
+    torch.testing.assert_close(start.carried, expected.carried, atol=1e-4, rtol=0)
+    assert start.state[..., size[0] :, :].abs().max() == 0
+
+
+@pytest.mark.parametrize("size", [(64, 96), (61, 83), (9, 5), (1, 1)])
+def test_motion_is_the_same_from_compiled_loops(size):
+    wide = procedural_light_field(size=(size[0] + 8, size[1] + 8)).views[0].mean(dim=0)
+    new, old = wide[2 : 2 + size[0], 4 : 4 + size[1]], wide[: size[0], : size[1]]
+    found = block_motion(new, old)
+    with plain():
+        torch.testing.assert_close(found, block_motion(new, old), atol=1e-3, rtol=0)
+
+
+def test_subframes_of_a_video_start_from_those_before():
+    facts = {"name": "fast LCDs", "link": "multiplicative", "views": (1, 5), "subframes": 2}
+    display = Display(DisparitySpec.model_validate(facts | {"disparity": (1.0, 0.0, -1.0)}))
+    first, second = synthesize_frames(pan((1, 0), 2), display, method="gradient", iterations=2)
+    assert second.details["start"] == "moved"
+    assert second.layers.shape == first.layers.shape
+    assert not torch.equal(*second.layers)
+
+
 def test_motion_that_is_found_wrongly_does_not_add_up_in_the_dual():
     """Again and again a dark pixel takes its state from where it was bright."""
     even = torch.full((1, 1, 1, 4, 6), 0.1)
     bright, state, still = torch.full_like(even, 0.4), even.clone(), torch.zeros(2, 4, 6)
     held = even * 0 - 0.2  # a layer that its bound keeps dark
     for _ in range(20):
-        state = moved_start(even, state, bright, still)
-        held = moved_start(even, held, even, still)
+        state = moved_start(even, Left(state, bright, bright), still).state
+        held = moved_start(even, Left(held, even, even), still).state
     assert (state - state.clamp(0, 1)).abs().max() == 0
     torch.testing.assert_close(held, torch.full_like(held, -0.2))

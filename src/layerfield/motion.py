@@ -1,11 +1,16 @@
 """Where things went from one picture to the next: block matching, coarse to fine."""
 
+from collections.abc import Callable
 from itertools import product
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn.functional import avg_pool1d, avg_pool2d, grid_sample, interpolate, pad
+
+from layerfield.kernels.block_costs import block_costs, cheapest
+from layerfield.kernels.compiled import serve
+from layerfield.kernels.moved import Rim, moved_planes
 
 BLOCK = 8  # pixels that move alike
 _ROUGH_BLOCK, _ROUGH_REACH = 4, 4  # pixels of a quarter of the size, so that 19 px are found
@@ -45,6 +50,8 @@ def moved(
         values: as large as the motion, or with a frame of so many pixels on every side.
         motion: m.
     """
+    if serve(values, motion):
+        return moved_planes(values, motion)
     height, width = values.shape[-2:]
     frame = (width - motion.shape[-1]) // 2
     x, y = _places(motion)
@@ -57,12 +64,25 @@ def moved(
 
 def framed(values: Float[Tensor, "*batch y x"]) -> Float[Tensor, "*batch y+2 x+2"]:
     """Return values with one pixel more on every side: means of what is near that edge."""
-    result = pad(values, (1, 1, 1, 1))
-    result[..., 1:-1, 0] = _mean_along(values[..., :_NEAR].mean(dim=-1))
-    result[..., 1:-1, -1] = _mean_along(values[..., -_NEAR:].mean(dim=-1))
-    result[..., 0, :] = _mean_along(result[..., 1 : 1 + _NEAR, :].mean(dim=-2))
-    result[..., -1, :] = _mean_along(result[..., -1 - _NEAR : -1, :].mean(dim=-2))
-    return result
+    rim = rim_of(lambda y, x: values[..., y, x])
+    wide = torch.cat([rim.left[..., None], values, rim.right[..., None]], dim=-1)
+    return torch.cat([rim.top[..., None, :], wide, rim.bottom[..., None, :]], dim=-2)
+
+
+def rim_of(part: Callable[[slice, slice], Float[Tensor, "*batch y x"]]) -> Rim:
+    """Return what lies around values: means of what is near that edge.
+
+    Args:
+        part: returns rows and columns of them.
+    """
+    whole, first, last = slice(None), slice(_NEAR), slice(-_NEAR, None)
+    left, right = (_mean_along(part(whole, each).mean(dim=-1)) for each in (first, last))
+    beside = [
+        torch.cat([left[..., rows, None], part(rows, whole), right[..., rows, None]], dim=-1)
+        for rows in (first, last)
+    ]
+    top, bottom = (_mean_along(each.mean(dim=-2)) for each in beside)
+    return Rim(left, right, top, bottom)
 
 
 def comes_from_inside(motion: Float[Tensor, "2 y x"]) -> Bool[Tensor, "y x"]:
@@ -102,25 +122,22 @@ def _found(
         Whole pixels, and the fraction to be added.
     """
     side, costs = 2 * reach + 1, _costs(new, old, centre, block, reach)
-    steps = torch.arange(-reach, reach + 1, device=centre.device)
-    tried = (
-        centre[:, None]
-        + torch.stack([steps.repeat(side), steps.repeat_interleave(side)])[..., None, None]
-    )
-    strays = (tried - _most(tried, costs)[:, None, None, None]).abs().sum(dim=0)
-    costs = costs + _STRAY * strays
-    best = costs.argmin(dim=0)
+    tried = centre[:, None] + torch.arange(-reach, reach + 1, device=centre.device)[:, None, None]
+    x, y = (tried - _most(centre, costs, reach)[:, None, None, None]).abs()
+    costs = costs + _STRAY * (x + y[:, None]).flatten(0, 1)
+    best = _cheapest(costs)
     row, column = best // side, best % side
     across = _fraction(costs, best, 1, (column > 0) & (column < side - 1))
     down = _fraction(costs, best, side, (row > 0) & (row < side - 1))
-    chosen = tried.gather(1, best.expand(2, 1, *best.shape))[:, 0]
-    return chosen, torch.stack([across, down])
+    return centre + torch.stack([column, row]) - reach, torch.stack([across, down])
 
 
 def _costs(
     new: Tensor, old: Tensor, centre: Tensor, block: int, reach: int
 ) -> Float[Tensor, "step by bx"]:
     """Return the mean square difference of every block and its neighbours for all motions."""
+    if serve(new, old):
+        return block_costs(new, old, centre, block, reach)
     (height, width), (rows, columns) = new.shape, centre.shape[-2:]
     fill = (0, columns * block - width, 0, rows * block - height)
     tiles = pad(new[None], fill, mode="replicate")[0]
@@ -137,12 +154,18 @@ def _costs(
     return avg_pool2d(torch.stack(errors), 3, 1, 1, count_include_pad=False)
 
 
-def _most(tried: Int[Tensor, "2 step by bx"], costs: Tensor) -> Int[Tensor, " 2"]:
+def _most(centre: Int[Tensor, "2 by bx"], costs: Tensor, reach: int) -> Int[Tensor, " 2"]:
     """Return the motion of most of the blocks that have more detail than others."""
-    best, spread = costs.argmin(dim=0), costs.amax(dim=0) - costs.amin(dim=0)
-    chosen = tried.gather(1, best.expand(2, 1, *best.shape))[:, 0]
+    best, side = _cheapest(costs), 2 * reach + 1
+    spread = costs.amax(dim=0) - costs.gather(0, best[None])[0]
+    chosen = centre + torch.stack([best % side, best // side]) - reach
     voting = chosen[:, spread >= spread.mean()]
     return voting[:, (voting[0] * _WIDE + voting[1]).mode().indices]
+
+
+def _cheapest(costs: Float[Tensor, "step by bx"]) -> Int[Tensor, "by bx"]:
+    """Return the number of the lowest cost of every block, the first of those that are alike."""
+    return cheapest(costs) if serve(costs) else costs.argmin(dim=0)
 
 
 def _fraction(costs: Tensor, best: Tensor, stride: int, inside: Tensor) -> Tensor:

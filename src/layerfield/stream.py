@@ -6,9 +6,10 @@ does, and the share of it that follows from the views at once is that of the new
     s_new(p) = e_new(p) + (s - e)(p + m)
 
 with e the balanced start, every layer the mean of what its viewers see, and m the motion of what
-the middle of the viewers sees, found by block matching. What comes into the picture starts from
-e_new alone. Without m the dual holds pixels at bounds that have moved on, and a start can be worse
-than none. Where light adds up, `fast` has steps that were learned for such a start.
+the middle of the viewers sees, found by block matching. What comes into the picture has the state
+that pixels near there have. Without m the dual holds pixels at bounds that have moved on, and a
+start can be worse than none. Where light adds up, `fast` has steps that were learned for such a
+start, and goes on where the steps of the frame before went: see `WarmAdmm`.
 Where the direct solver makes the start of every run and sweeps or Newton steps follow (links that
 are no sum), that start is better than moved layers: each frame has its own, and fewer of those.
 """
@@ -32,7 +33,7 @@ from layerfield.solvers.fourier_admm import AdmmState
 from layerfield.solvers.fourier_start import FourierStart
 from layerfield.solvers.learned_admm import LearnedState
 from layerfield.solvers.nearest_shifts import NearestShifts
-from layerfield.solvers.warm_admm import WarmAdmm, moved_start
+from layerfield.solvers.warm_admm import Left, WarmAdmm, moved_start
 from layerfield.synthesizer import find_method, pose
 
 WARM_ITERATIONS = 3
@@ -44,11 +45,20 @@ _DARKEST = 1e-3  # layers darker than this move as if they were this bright
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """A frame that was solved, and what the next one needs of it."""
+    """A frame that was solved, and what the next one needs of it.
+
+    Args:
+        picture: what the middle of the viewers sees.
+        even: its balanced start.
+        solution: of it.
+        carried: the layers that were carried to it from the one before, see `WarmAdmm`, or those of
+            its solution.
+    """
 
     picture: Float[Tensor, "ly lx"]
     even: Float[Tensor, "1 layer c ly lx"]
     solution: Solution
+    carried: Float[Tensor, "subframe layer c ly lx"]
 
 
 def synthesize_frames(
@@ -133,7 +143,7 @@ def _next_frame(
     method: SolverMethod,
     options: RunOptions,
 ) -> _Frame:
-    clock, start, details = Clock(problem.device), None, {}
+    clock, start, carried, details = Clock(problem.device), None, None, {}
     moves = not _starts_itself(method, display)
     made, count = method, max(method.count(None), _FIRST if moves else 0)
     with torch.no_grad(), clock:
@@ -145,12 +155,14 @@ def _next_frame(
                 count = options.iterations
                 if moves:
                     made = _warm(method, display, count)
-                    start = _started(before, problem, even, motion, made.make(display.link))
+                    solver = made.make(display.link)
+                    start, carried = _started(before, problem, even, motion, solver)
     run = made.run(problem, display, replace(options, init=start, iterations=count))
     cut = details.get("unexplained", 0.0) > _CUT
     details["start"] = "cut" if cut else "cold" if start is None else "moved"
     timed = replace(run, seconds=run.seconds + clock.seconds)
-    return _Frame(picture, even, _noted(timed, problem, **details))
+    left = run.layers if carried is None else carried
+    return _Frame(picture, even, _noted(timed, problem, **details), left)
 
 
 def _starts_itself(method: SolverMethod, display: Display) -> bool:
@@ -194,26 +206,29 @@ def _unexplained(new: Tensor, old: Tensor, motion: Tensor) -> float:
 
     Infinite where all comes from outside, as may be in pictures of a few pixels.
     """
-    left, seen = new - moved(old, motion), comes_from_inside(motion)
-    if not seen.any():
-        return math.inf
-    return (left[seen].square().mean() / new.var().clamp(min=1e-8)).item()
+    seen = comes_from_inside(motion)
+    left = ((new - moved(old, motion)) * seen).square().sum() / seen.sum()
+    return (left / new.var().clamp(min=1e-8)).item() if seen.any() else math.inf
 
 
 def _started(
     before: _Frame, problem: Problem, even: Tensor, motion: Tensor, solver: Solver
-) -> Solution | Float[Tensor, "subframe layer c ly lx"]:
-    """Return what the next frame starts from: a state of the direct solver, otherwise layers."""
+) -> tuple[Solution | Tensor, Tensor]:
+    """Return what the next frame starts from: a state of the direct solver, otherwise layers.
+
+    And the layers that were carried to it.
+    """
     gram, state, solution = problem.gram, before.solution.state, before.solution
     if type(state) in (LearnedState, AdmmState):  # that of tiles is on a torus of its own
-        shadow = moved_start(even, gram.from_torus(state.shadow), before.even, motion)
-        padded = gram.to_torus(shadow)
         warm = isinstance(solver, WarmAdmm)
-        known = LearnedState(padded) if warm else replace(state, shadow=padded)
-        return replace(solution, solver=solver, state=known)
+        left = Left(state.shadow, before.even, before.carried)
+        again = solver.again(problem.layer_count) if warm else 0.0
+        start = moved_start(even, left, motion, again=again, size=gram.torus)
+        known = LearnedState(start.state) if warm else replace(state, shadow=start.state)
+        return replace(solution, solver=solver, state=known), start.carried
     layers, bounds = _to_sum(solution.layers, problem), problem.link.sum_bounds
-    start = moved_start(even, layers, before.even, motion, bounds)
-    return problem.link.from_sum(start).clamp(*problem.bounds)
+    start = moved_start(even, Left(layers, before.even, layers), motion, bounds=bounds)
+    return problem.link.from_sum(start.state).clamp(*problem.bounds), start.carried
 
 
 def _to_sum(layers: Tensor, problem: Problem) -> Tensor:

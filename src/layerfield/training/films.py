@@ -3,7 +3,6 @@
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import accumulate
 
 import torch
 from jaxtyping import Float
@@ -14,7 +13,7 @@ from layerfield.fast import shipped_steps
 from layerfield.motion import block_motion
 from layerfield.scenes import animated, panned, travelled
 from layerfield.solve import Problem, solve
-from layerfield.solvers.warm_admm import moved_start
+from layerfield.solvers.warm_admm import Left, moved_start
 from layerfield.stream import seen_from_the_middle
 from layerfield.training.learned_steps import LearnedSteps, squares
 from layerfield.training.sources import first_seed
@@ -24,7 +23,7 @@ _KINDS = 4  # pan, noise, travel, animation
 _FASTEST = 5  # pixels per frame
 _LEAST_TRAVEL, _MOST_TRAVEL = 0.2, 3.0  # view steps per frame
 _NOISIEST = 0.015
-_AT_ONCE = 2  # frames whose errors are made small together
+_AT_ONCE = 3  # frames whose errors are made small together
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,18 +53,27 @@ class Film:
             if old in numbers
         }
 
-    def first(self) -> Float[Tensor, "video 1 layer c ly lx"]:
-        """Return s of the first frame, after all learned steps from nothing."""
+    def first(self) -> Left:
+        """Return what the first frame leaves: after all learned steps from nothing."""
         known = shipped_steps("additive")
         steps = max(known.steps)
         made = solve(self.frames[0], known.solver(steps), iterations=steps)
-        return self.frames[0].gram.from_torus(made.state.shadow)
+        return self.unmoved(0, self.frames[0].gram.from_torus(made.state.shadow))
 
-    def start(self, new: int, old: int, state: Tensor) -> Tensor:
-        """Return where a frame starts from, given s of its neighbour."""
-        motions = self.motions[new, old]
-        parts = zip(self.evens[new], state, self.evens[old], motions, strict=True)
-        return torch.stack([moved_start(*part) for part in parts])
+    def unmoved(self, number: int, state: Tensor) -> Left:
+        """Return what a frame leaves that did not change what was carried to it."""
+        return Left(state, self.evens[number], state.clamp(*self.frames[number].bounds))
+
+    def follow(self, model: LearnedSteps, new: int, old: int, left: Left) -> Left:
+        """Return what a frame leaves, given what its neighbour has left."""
+        problem, motions = self.frames[new], self.motions[new, old]
+        again, videos = model.again(problem.layer_count), zip(*left, strict=True)
+        starts = [
+            moved_start(even, Left(*each), motion, again=again, bounds=problem.bounds)
+            for even, each, motion in zip(self.evens[new], videos, motions, strict=True)
+        ]
+        state, carried = (torch.stack(each) for each in zip(*starts, strict=True))
+        return Left(model.onward(problem, state), self.evens[new], carried)
 
 
 class FilmLesson:
@@ -74,24 +82,25 @@ class FilmLesson:
     def __init__(self, film: Film) -> None:
         self._film = film
         self._at, self._ahead = 0, 1
-        self._state: Tensor | None = None
+        self._left: Left | None = None
 
     def __call__(self, model: LearnedSteps) -> Tensor:
         """Return the mean logarithm of the errors of the next frames."""
-        state = self._film.first() if self._state is None else self._state
+        left = self._film.first() if self._left is None else self._left
         logs = []
         for _ in range(_AT_ONCE):
-            state = self._next(model, state)
+            left = self._next(model, left)
             problem = self._film.frames[self._at]
-            logs.append(squares(problem, state.clamp(*problem.bounds)).log().mean())
-        self._state = state.detach()
+            logs.append(squares(problem, left.state.clamp(*problem.bounds)).log().mean())
+        self._left = Left(*(each.detach() for each in left))
         return torch.stack(logs).mean()
 
-    def _next(self, model: LearnedSteps, state: Tensor) -> Tensor:
+    def _next(self, model: LearnedSteps, left: Left) -> Left:
         if not 0 <= self._at + self._ahead < len(self._film.frames):
             self._ahead = -self._ahead
+            left = self._film.unmoved(self._at, left.state)  # what was ahead is behind now
         old, self._at = self._at, self._at + self._ahead
-        return model.onward(self._film.frames[self._at], self._film.start(self._at, old, state))
+        return self._film.follow(model, self._at, old, left)
 
 
 @torch.no_grad()
@@ -99,14 +108,11 @@ def last_frames(films: list[Film], model: LearnedSteps) -> list[Float[Tensor, " 
     """Return the mean square errors of the last frame of every video."""
     found = []
     for film in films:
-        numbers = range(1, len(film.frames))
-        *_, state = accumulate(
-            numbers,
-            lambda s, n, film=film: model.onward(film.frames[n], film.start(n, n - 1, s)),
-            initial=film.first(),
-        )
+        left = film.first()
+        for n in range(1, len(film.frames)):
+            left = film.follow(model, n, n - 1, left)
         last = film.frames[-1]
-        found.append(squares(last, state.clamp(*last.bounds)))
+        found.append(squares(last, left.state.clamp(*last.bounds)))
     return found
 
 

@@ -29,6 +29,7 @@ from layerfield.solvers.learned_admm import BALANCE, coarse_grid
 from layerfield.solvers.newton_admm import renews_scale, scale_of, slope
 
 _FIRST = {"penalty": math.log(0.02), "relaxation": 1.6, "trust": 1.0, "kept": 0.6, "momentum": 0.0}
+_MOMENTUM = Constants._fields.index("momentum")
 _LAST_PENALTY = math.log(0.1)
 _FIRST_NEWTON = [math.log(0.4), 1.0, 1.0, 1.0, 0.0]
 # Least penalty on large pixels. Softer ones serve small scenes, but let light answer to what is far
@@ -61,6 +62,10 @@ class LearnedSteps(nn.Module):
         """Return what was learned."""
         made = _real(self.full), _real(self.coarse, _SOFTEST), _real(self.newton)
         return Rows(*(tuple(Constants(*row) for row in rows.tolist()) for rows in made))
+
+    def again(self, layers: int) -> Float[Tensor, ""]:
+        """Return the momentum from frame to frame, of so many layers; see `WarmAdmm`."""
+        return _among(layers, _real(self.full))[0, _MOMENTUM]
 
     def onward(
         self, problem: Problem, state: Float[Tensor, "*batch 1 layer c ly lx"]

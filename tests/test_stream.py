@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
+from inspect import unwrap
 from pathlib import Path
 
 import pytest
@@ -24,7 +25,8 @@ from layerfield import (
 )
 from layerfield.fast import read_learned
 from layerfield.kernels.compiled import plain
-from layerfield.motion import block_motion, comes_from_inside, framed, moved
+from layerfield.kernels.moved import moved_parts
+from layerfield.motion import block_motion, comes_from_inside, framed, moved, rim_of
 from layerfield.scenes import animated, panned, travelled
 from layerfield.solvers.learned_admm import LearnedState
 from layerfield.solvers.warm_admm import Left, WarmAdmm, moved_start
@@ -316,6 +318,23 @@ def test_moved_starts_in_one_pass_are_those_of_pytorch(size, kind):
     torch.testing.assert_close(start.state, expected.state, atol=1e-4, rtol=0)
     torch.testing.assert_close(start.carried, expected.carried, atol=1e-4, rtol=0)
     assert start.state[..., size[0] :, :].abs().max() == 0
+
+
+def test_compiled_loops_refuse_planes_that_do_not_fit():
+    even, motion, size = torch.zeros(1, 3, 3, 8, 16), torch.zeros(2, 8, 16), (8, 16)
+    fewer, short = torch.zeros(1, 2, 3, 8, 16), torch.zeros(1, 3, 3, 7, 16)
+    unchecked = unwrap(moved_parts)  # annotations are looked at in tests alone
+    rim = rim_of(lambda y, x: even[None].expand(3, -1, -1, -1, -1, -1)[..., y, x])
+    for state, before, carried, way, torus in (
+        (short, even, even, motion, size),
+        (fewer, even, even, motion, size),
+        (even, fewer, even, motion, size),
+        (even, even, short, motion, size),
+        (even, even, even, motion[:, 1:], size),
+        (even, even, even, motion, (8, 15)),
+    ):
+        with pytest.raises(ValueError, match="expected all to fit"):
+            unchecked(even, state, before, carried, 0.5, way, rim, (0.0, 1.0), torus)
 
 
 @pytest.mark.parametrize("size", [(64, 96), (61, 83), (9, 5), (1, 1)])

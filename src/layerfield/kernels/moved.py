@@ -90,14 +90,15 @@ def moved_parts(
         size: height and width of the state returned, which is 0 beside the layers.
 
     Raises:
-        ValueError: planes of unlike sizes.
+        ValueError: planes, motion or torus that do not fit: loops would go past their ends.
     """
     *batch, height, width = even.shape
-    alike = {tuple(each.shape[-2:]) for each in (even, even_before, carried, motion)}
-    least = [min(each) for each in zip(state.shape[-2:], size, strict=True)]
-    if len(alike) > 1 or least[0] < height or least[1] < width:
-        found = f"{sorted(alike)}, {tuple(state.shape[-2:])} and {size}"
-        raise ValueError(f"found planes of {found}, expected {(height, width)}")
+    proper = state[..., :height, :width]
+    alike = {tuple(each.shape) for each in (even, even_before, carried, proper)}
+    small = size[0] < height or size[1] < width
+    if len(alike) > 1 or motion.shape[1:] != (height, width) or small:
+        found = f"{sorted(alike)}, motion {tuple(motion.shape)} and a torus {size}"
+        raise ValueError(f"found planes of {found}, expected all to fit {tuple(even.shape)}")
     made, left = torch.empty(*batch, *size), torch.empty(even.shape)
     planes = (planes_of(each.detach().contiguous()) for each in (state, even_before, carried))
     factors = (np.float32(each) for each in (again, *bounds))

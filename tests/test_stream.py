@@ -24,6 +24,7 @@ from layerfield import (
     synthesize_frames,
 )
 from layerfield.fast import read_learned
+from layerfield.kernels.block_costs import neighbour_costs
 from layerfield.kernels.compiled import plain
 from layerfield.kernels.moved import moved_parts
 from layerfield.motion import block_motion, comes_from_inside, framed, moved, rim_of
@@ -85,6 +86,16 @@ def test_motion_of_a_shifted_picture_is_found():
         inside = block_motion(new, old)[:, 20:-20, 20:-20]
         wanted = torch.tensor([float(x), float(y)])[:, None, None].expand_as(inside)
         torch.testing.assert_close(inside, wanted, atol=0.15, rtol=0)
+
+
+def test_edges_of_things_run_through_blocks():
+    behind, thing = textured(106, 130), textured(180, 200)[100:148, 100:140]
+    new, old = behind.clone(), behind.clone()
+    new[44:92, 48:88] = old[46:94, 45:85] = thing
+    motion = block_motion(new, old)
+    torch.testing.assert_close(motion[:, 16:44], torch.zeros(2, 28, 128), atol=0.15, rtol=0)
+    wanted = torch.tensor([-3.0, 2.0])[:, None, None].expand(2, 48, 40)
+    torch.testing.assert_close(motion[:, 44:92, 48:88], wanted, atol=0.15, rtol=0)
 
 
 def test_where_all_is_even_motion_is_that_of_the_rest():
@@ -335,6 +346,14 @@ def test_compiled_loops_refuse_planes_that_do_not_fit():
     ):
         with pytest.raises(ValueError, match="expected all to fit"):
             unchecked(even, state, before, carried, 0.5, way, rim, (0.0, 1.0), torus)
+
+
+def test_motion_of_pictures_that_do_not_fit_is_refused():
+    new, motion = torch.rand(16, 20), torch.zeros(2, 2, 3)
+    unchecked = unwrap(neighbour_costs)
+    for old, way in ((new[:, 1:], motion), (new, motion[:, 1:]), (new, motion[:, :, 1:])):
+        with pytest.raises(ValueError, match="expected both to fit"):
+            unchecked(new, old, way, [(0, 0)])
 
 
 @pytest.mark.parametrize("size", [(64, 96), (61, 83), (9, 5), (1, 1)])

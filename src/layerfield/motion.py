@@ -8,23 +8,27 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn.functional import avg_pool1d, avg_pool2d, grid_sample, interpolate, pad
 
-from layerfield.kernels.block_costs import block_costs, cheapest
+from layerfield.kernels.block_costs import BLOCK, HALF, block_costs, cheapest, neighbour_costs
 from layerfield.kernels.compiled import serve
 from layerfield.kernels.moved import Rim, moved_planes
 
-BLOCK = 8  # pixels that move alike
-_ROUGH_BLOCK, _ROUGH_REACH = 4, 4  # pixels of a quarter of the size, so that 19 px are found
+_NEXT = (-1, 0, 1)
+_AROUND = tuple(sorted(((y, x) for y in _NEXT for x in _NEXT), key=any))  # a block itself is first
+_ROUGH_BLOCK = 4  # pixels of a quarter of the size
+_ROUGH_REACH, _HALF_REACH, _FULL_REACH = 4, 1, 2  # so that 20 px are found
 _NEAR = 5  # pixels from an edge, and along it
 _WIDE = 1 << 16  # no motion goes so far
 _STRAY = 1e-3  # what a pixel of motion unlike that of most must bring; where all is even, none does
 
 
 def block_motion(new: Float[Tensor, "y x"], old: Float[Tensor, "y x"]) -> Float[Tensor, "2 y x"]:
-    """Return m (x, y) such that new(p) is nearly old(p + m), constant over blocks of 8 pixels.
+    """Return m (x, y) such that new(p) is nearly old(p + m), constant over 8x4 pixels.
 
-    The mean square difference over 3x3 blocks is smallest: among 81 motions at a quarter of the
-    size, then among nine at half of it and nine at full size; a parabola gives fractions of a
-    pixel. Blocks without much detail move as most of the others do.
+    Blocks of 8x8 pixels, at a quarter of the size 16x16, take the motion with the least mean square
+    difference: of 81 at that size, then of nine at half of it and of 25 at full size; a parabola
+    gives fractions of a pixel. Blocks without much detail move as most of the others do. At last
+    each half of a block takes the best of its block's motion and those of the eight around it:
+    edges of things run through blocks.
 
     Args:
         new: the later picture, values about 0 to 1.
@@ -35,9 +39,11 @@ def block_motion(new: Float[Tensor, "y x"], old: Float[Tensor, "y x"]) -> Float[
     still = torch.zeros(2, *_blocks(quarter, _ROUGH_BLOCK), dtype=torch.long, device=new.device)
     motion = _found(quarter, _halved(half_old), still, _ROUGH_BLOCK, _ROUGH_REACH)[0]
     centre = _doubled(motion, _blocks(half_new, BLOCK))
-    motion = _found(half_new, half_old, centre, BLOCK, 1)[0]
-    whole, fraction = _found(new, old, _doubled(motion, _blocks(new, BLOCK)), BLOCK, 1)
-    motion = (whole + fraction).repeat_interleave(BLOCK, -2).repeat_interleave(BLOCK, -1)
+    motion = _found(half_new, half_old, centre, BLOCK, _HALF_REACH)[0]
+    centre = _doubled(motion, _blocks(new, BLOCK))
+    whole, fraction = _found(new, old, centre, BLOCK, _FULL_REACH)
+    halves = _of_neighbours(new, old, whole + fraction)
+    motion = halves.repeat_interleave(HALF, -2).repeat_interleave(BLOCK, -1)
     return motion[:, : new.shape[-2], : new.shape[-1]]
 
 
@@ -135,7 +141,7 @@ def _found(
 def _costs(
     new: Tensor, old: Tensor, centre: Tensor, block: int, reach: int
 ) -> Float[Tensor, "step by bx"]:
-    """Return the mean square difference of every block and its neighbours for all motions."""
+    """Return the mean square difference of every block for all motions."""
     if serve(new, old):
         return block_costs(new, old, centre, block, reach)
     (height, width), (rows, columns) = new.shape, centre.shape[-2:]
@@ -151,7 +157,41 @@ def _costs(
     steps = product(range(2 * reach + 1), repeat=2)
     # One after the other: what is between stays in the cache.
     errors = [(windows[:, :, i, j] - tiles).square_().mean(dim=(-2, -1)) for i, j in steps]
-    return avg_pool2d(torch.stack(errors), 3, 1, 1, count_include_pad=False)
+    return torch.stack(errors)
+
+
+def _of_neighbours(
+    new: Tensor, old: Tensor, motion: Float[Tensor, "2 by bx"]
+) -> Float[Tensor, "2 hy bx"]:
+    """Return the best motion of each half of a block: of the block, or of one next to it."""
+    best = _cheapest(_costs_of_neighbours(new, old, motion))
+    down, right = torch.tensor(_AROUND, device=motion.device)[best].unbind(dim=-1)
+    halves, columns = (torch.arange(n, device=motion.device) for n in best.shape)
+    y = (halves[:, None] // 2 + down).clamp(0, motion.shape[-2] - 1)
+    return motion[:, y, (columns + right).clamp(0, motion.shape[-1] - 1)]
+
+
+def _costs_of_neighbours(
+    new: Tensor, old: Tensor, motion: Float[Tensor, "2 by bx"]
+) -> Float[Tensor, "step hy bx"]:
+    """Return the mean square difference of each half of a block for the motions around."""
+    if serve(new, old):
+        return neighbour_costs(new, old, motion, _AROUND)
+    height, width = new.shape
+    costs = []
+    for step in _AROUND:
+        tried = _beside(motion, *step).repeat_interleave(BLOCK, -2).repeat_interleave(BLOCK, -1)
+        errors = (moved(old, tried[:, :height, :width]) - new).square_()
+        part = avg_pool2d(errors[None], (HALF, BLOCK), ceil_mode=True, count_include_pad=False)
+        costs.append(part[0])
+    return torch.stack(costs)
+
+
+def _beside(motion: Float[Tensor, "2 by bx"], down: int, right: int) -> Float[Tensor, "2 by bx"]:
+    """Return the motion of the blocks so far away, at an edge that of the nearest."""
+    rows, columns = (torch.arange(n, device=motion.device) for n in motion.shape[-2:])
+    y = (rows + down).clamp(0, len(rows) - 1)
+    return motion[:, y[:, None], (columns + right).clamp(0, len(columns) - 1)]
 
 
 def _most(centre: Int[Tensor, "2 by bx"], costs: Tensor, reach: int) -> Int[Tensor, " 2"]:

@@ -1,11 +1,18 @@
 """How unlike blocks of one picture are to those of another, for every motion that is tried."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from layerfield.kernels.compiled import compiled
+from layerfield.kernels.compiled import compiled, native
+from layerfield.kernels.radices import LANES
+
+BLOCK, HALF = LANES, 4  # pixels along the sides of half of a block
+
+add_unlike = native("layerfield.kernels.moved_lanes", "add_unlike")
 
 
 def block_costs(
@@ -15,10 +22,9 @@ def block_costs(
     block: int,
     reach: int,
 ) -> Float[Tensor, "step by bx"]:
-    """Return the mean square difference of every block and its neighbours near a first guess.
+    """Return the mean square difference of every block for motions near a first guess.
 
-    Neighbours are those of 3x3 blocks that there are. Of pixels beyond an edge the nearest one
-    counts.
+    Of pixels beyond an edge the nearest one counts.
 
     Args:
         new: of single precision, on a processor.
@@ -28,12 +34,41 @@ def block_costs(
         reach: pixels from the first guess, along x and y; motions are in the order of rows.
     """
     rows, columns = centre.shape[-2:]
-    alone = torch.empty((2 * reach + 1) ** 2, rows, columns)
-    result = torch.empty_like(alone)
+    result = torch.empty((2 * reach + 1) ** 2, rows, columns)
     pictures = (each.detach().contiguous().numpy() for each in (new, old))
-    given = alone.numpy(), *pictures, centre.contiguous().numpy(), block, reach
-    _compare.in_spans(*given, count=rows, numbers=len(alone) * new.numel())
-    _mean.in_spans(result.numpy(), alone.numpy(), count=len(alone), numbers=alone.numel())
+    given = result.numpy(), *pictures, centre.contiguous().numpy(), block, reach
+    _compare.in_spans(*given, count=rows, numbers=len(result) * new.numel())
+    return result
+
+
+def neighbour_costs(
+    new: Float[Tensor, "y x"],
+    old: Float[Tensor, "y x"],
+    motion: Float[Tensor, "2 by bx"],
+    steps: Sequence[tuple[int, int]],
+) -> Float[Tensor, "step hy bx"]:
+    """Return the mean square difference of each half of a block for the motions of those around.
+
+    The upper and the lower half of a block are two rows. Between pixels of the old picture it is
+    interpolated linearly.
+
+    Args:
+        new: of single precision, on a processor.
+        old: the same, and of that size.
+        motion: x and y, pixels, of every block of 8x8.
+        steps: y and x of those around, in blocks; at an edge the nearest one counts.
+
+    Raises:
+        ValueError: pictures or motions that do not fit: loops would go past their ends.
+    """
+    rows, columns = (-(-n // part) for n, part in zip(new.shape, (HALF, BLOCK), strict=True))
+    if old.shape != new.shape or motion.shape != (2, -(-new.shape[0] // BLOCK), columns):
+        found = f"an old one of {tuple(old.shape)} and motions {tuple(motion.shape)}"
+        raise ValueError(f"found {found}, expected both to fit a picture of {tuple(new.shape)}")
+    result = torch.empty(len(steps), rows, columns)
+    pictures = (each.detach().contiguous().numpy() for each in (new, old))
+    given = result.numpy(), *pictures, motion.contiguous().numpy(), np.array(steps)
+    _compare_around.in_spans(*given, count=rows, numbers=4 * len(steps) * new.numel())
     return result
 
 
@@ -111,23 +146,59 @@ def _add(sums, seen, line, step, block, across):
 
 
 @compiled
-def _mean(result, costs, begin, end):
-    """Of all neighbours, for motions from and to."""
-    rows, columns = costs.shape[1:]
-    line = np.empty(columns, np.float32)
-    for step in range(begin, end):
-        for row in range(rows):
-            first, last = max(row - 1, 0), min(row + 2, rows)
-            line[:] = 0
-            for each in range(first, last):
-                line += costs[step, each]
-            for column in range(columns):
-                left, right = max(column - 1, 0), min(column + 2, columns)
-                total = np.float32(0)
-                for each in range(left, right):
-                    total += line[each]
-                count = np.float32((last - first) * (right - left))
-                result[step, row, column] = total / count
+def _compare_around(costs, new, old, motion, steps, begin, end):
+    """Rows of halves of blocks from and to."""
+    height, width = new.shape
+    rows, columns = motion.shape[1:]
+    factors, sums = np.empty(4, np.float32), np.empty(BLOCK, np.float32)
+    for half in range(begin, end):
+        top, bottom = half * HALF, min(half * HALF + HALF, height)
+        for column in range(columns):
+            left, right = column * BLOCK, min(column * BLOCK + BLOCK, width)
+            pixels = np.float32((bottom - top) * (right - left))
+            for step in range(len(steps)):
+                row = min(max(half // 2 + steps[step, 0], 0), rows - 1)
+                beside = min(max(column + steps[step, 1], 0), columns - 1)
+                x, y = motion[0, row, beside], motion[1, row, beside]
+                away, down = left + int(np.floor(x)), top + int(np.floor(y))
+                inside = 0 <= away < width - BLOCK and 0 <= down < height - (bottom - top)
+                if inside and right - left == BLOCK:
+                    _weigh(factors, x - np.floor(x), y - np.floor(y))
+                    sums[:] = 0
+                    for line in range(bottom - top):
+                        there, here = (down + line) * width + away, (top + line) * width + left
+                        add_unlike(factors, old, there, width, new, here, sums)
+                    total = sums.sum()
+                else:
+                    total = _unlike_at_edges(new, old, top, bottom, left, right, x, y)
+                costs[step, half, column] = total / pixels
+
+
+@compiled
+def _weigh(factors, across, below):
+    """Find the shares of the four pixels that something between them has."""
+    one = np.float32(1)
+    factors[0], factors[1] = (one - below) * (one - across), (one - below) * across
+    factors[2], factors[3] = below * (one - across), below * across
+
+
+@compiled
+def _unlike_at_edges(new, old, top, bottom, left, right, x, y):
+    """Return the square difference of what may come from beyond edges, or of a part of a half."""
+    height, width = old.shape
+    last, lowest = np.float32(width - 1), np.float32(height - 1)
+    factors, total = np.empty(4, np.float32), np.float32(0)
+    for row in range(top, bottom):
+        down = min(max(np.float32(row) + y, np.float32(0)), lowest)
+        upper, lower = old[int(down)], old[min(int(down) + 1, height - 1)]
+        for column in range(left, right):
+            there = min(max(np.float32(column) + x, np.float32(0)), last)
+            i, j = int(there), min(int(there) + 1, width - 1)
+            _weigh(factors, there - np.float32(i), down - np.floor(down))
+            seen = factors[0] * upper[i] + factors[1] * upper[j]
+            seen += factors[2] * lower[i] + factors[3] * lower[j]
+            total += (seen - new[row, column]) ** 2
+    return total
 
 
 @compiled

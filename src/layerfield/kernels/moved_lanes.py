@@ -85,3 +85,39 @@ def move_run(  # noqa: PLR0913, PLR0917 - whole numbers that compiled loops pass
     change = times(again, minus(iterate, between(neighbours(carried, here, narrow))))
     left.write(clamped(light), place)
     made.write(plus(clamped(plus(light, change)), dual), to)
+
+
+@intrinsic
+@generated
+def add_unlike(
+    builder: Any,
+    factors: Memory,
+    old: Memory,
+    there: Any,
+    width: Any,
+    new: Memory,
+    place: Any,
+    sums: Memory,
+) -> None:
+    """Add the square differences of `LANES` pixels from what they come from.
+
+    Args:
+        builder: of what is compiled.
+        factors: of the four neighbours that a pixel comes from.
+        old: the picture before.
+        there: where in it the first pixel comes from.
+        width: of a row of both.
+        new: the picture.
+        place: of the first pixel in it.
+        sums: of every pixel, which are added to.
+    """
+    parts = [factors.read(place.type(n), _FLOAT) for n in range(_NEIGHBOURS)]
+    shares = [everywhere(builder, each, LANES) for each in parts]
+    rows = there, builder.add(there, width)
+    known = [old.read(builder.add(row, row.type(n))) for row in rows for n in range(2)]
+    total = builder.fneg(new.read(place))
+    for share, value in zip(shares, known, strict=True):
+        total = builder.fadd(total, builder.fmul(share, value, flags=FREE), flags=FREE)
+    zero = place.type(0)
+    square = builder.fmul(total, total, flags=FREE)
+    sums.write(builder.fadd(sums.read(zero), square, flags=FREE), zero)

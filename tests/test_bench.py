@@ -8,6 +8,7 @@ import os
 import re
 import signal
 import socket
+import statistics
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -38,7 +39,7 @@ from layerfield.bench.throughput import (
     pictures,
     run_stream,
 )
-from layerfield.bench.timing import timed
+from layerfield.bench.timing import timed, timed_by_turns
 from layerfield.kernels.compiled import compiled
 from layerfield.kernels.preparation import PREPARATION
 from layerfield.panels import dequantise
@@ -341,10 +342,23 @@ def test_what_does_not_fit_is_left_out_and_said(monkeypatch):
 
 
 def test_per_doubling_is_two_in_proportion():
-    last = ScaleRow("pixels", 100, (10, 10), (5, 5), 3, "additive", "nmf:1")
-    one, four = (replace(timed(lambda: None, CPU, repeats=1)[0], median=s) for s in (1.0, 4.0))
-    found = scaling._per_doubling(replace(last, seconds=one), 400, four)
-    assert found == pytest.approx(2)
+    small, large = Case("pixels", size=(10, 10)), Case("pixels", size=(20, 20))
+    assert scaling._per_doubling(4.0, large, small) == pytest.approx(2)
+
+
+def test_runs_by_turns_are_compared_with_their_neighbours(monkeypatch):
+    order, slower = [], iter(range(1, 100))
+
+    def one_run(own, _device):
+        order.append(own())
+        return own() * next(slower), None  # a machine that becomes slower
+
+    monkeypatch.setattr("layerfield.bench.timing.once", one_run)
+    seconds, ratio = timed_by_turns(lambda: 4.0, lambda: 2.0, CPU, repeats=4)
+    assert order == [2.0, 4.0] * 5
+    assert seconds.runs == 4
+    assert ratio == pytest.approx(2 * statistics.median([4 / 3, 6 / 5, 8 / 7, 10 / 9]))
+    assert timed_by_turns(lambda: 4.0, lambda: 2.0, CPU, repeats=4, cap=1.0)[0].runs == 1
 
 
 # --------------------------------------------------------------------------------- throughput

@@ -10,6 +10,7 @@ All shifts are whole pixels. What is timed is a number of iterations, not a qual
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from torch import Tensor
 from layerfield.bench.frontier import unserved
 from layerfield.bench.road import EightBitViews, Panels, views_to_panels
 from layerfield.bench.rows import NOT_OURS, Effort
-from layerfield.bench.timing import Seconds, timed
+from layerfield.bench.timing import Seconds, timed, timed_by_turns
 from layerfield.display import Display
 from layerfield.display_spec import DisparitySpec
 from layerfield.geometry import grid_points
@@ -124,7 +125,8 @@ class ScaleRow:
         link: of the display.
         method: and iterations, as `evaluate` takes them.
         seconds: from 8-bit views to 8-bit panels; None if it was not run.
-        per_doubling: by how much time grew since the size before, for twice the amount.
+        per_doubling: by how much time grows from the size before, for twice the amount; both run
+            by turns.
         left_out: why it was not run.
     """
 
@@ -199,20 +201,19 @@ def run_growth(
     """
     rows = [row for row in known if row.seconds is not None]
     done = {(row.series, row.amount) for row in rows}
+    views_of = lru_cache(maxsize=2)(lambda case: case.views(growth.device))
     for case in growth.sizes:
         blanks = [
             (_blank(case, link, spelled(*method)), method)
             for link in growth.links
             for method in growth.methods
         ]
-        wanted = [pair for pair in blanks if (pair[0].series, case.amount) not in done]
-        if not wanted:
-            continue
-        views = None if _too_large(case, growth.device) else case.views(growth.device)
-        for blank, method in wanted:
+        for blank, method in blanks:
+            if (blank.series, case.amount) in done:
+                continue
             tick(f"{case.axis} {case.amount}, {blank.link}: {blank.method}")
-            earlier = [row for row in rows if row.series == blank.series]
-            rows.append(_scaled(blank, case, views, method, earlier, growth))
+            earlier = [row for row in rows if row.series == blank.series and row.seconds]
+            rows.append(_scaled(blank, case, views_of, method, earlier, growth))
             keep(rows)
     return rows
 
@@ -225,35 +226,39 @@ def _blank(case: Case, link: str, method: str) -> ScaleRow:
 def _scaled(
     blank: ScaleRow,
     case: Case,
-    views: EightBitViews | None,
+    views_of: Callable[[Case], EightBitViews],
     method: tuple[str, int],
     earlier: Sequence[ScaleRow],
     growth: Growth,
 ) -> ScaleRow:
-    last = next((row for row in reversed(earlier) if row.seconds), None)
-    if last is not None and last.seconds and last.seconds.median > growth.effort.cap:
-        return replace(blank, left_out=f"the size before took over {growth.effort.cap:g} s")
-    if views is None:
-        return replace(blank, left_out=_too_large(case, growth.device))
-    display = case.display(blank.link)
-    why = unserved(method[0], display)
-    if why is not None:
+    """Return the row of a size, timed by turns with the one before if there is one."""
+    last, effort = earlier[-1] if earlier else None, growth.effort
+    if last is not None and last.seconds and last.seconds.median > effort.cap:
+        return replace(blank, left_out=f"the size before took over {effort.cap:g} s")
+    if why := _too_large(case, growth.device) or unserved(method[0], case.display(blank.link)):
         return replace(blank, left_out=why)
 
-    def run() -> Panels:
-        return views_to_panels(views, display, *method)
+    def road(size: Case) -> Callable[[], Panels]:
+        views, display = views_of(size), size.display(blank.link)
+        return lambda: views_to_panels(views, display, *method)
 
-    effort = growth.effort
-    seconds, _ = timed(run, growth.device, repeats=effort.repeats, cap=effort.cap)
-    return replace(blank, seconds=seconds, per_doubling=_per_doubling(last, blank.amount, seconds))
+    before = _case_of(last, growth.sizes)
+    if last is None or before is None:
+        seconds, _ = timed(road(case), growth.device, repeats=effort.repeats, cap=effort.cap)
+        return replace(blank, seconds=seconds)
+    runs = road(case), road(before)
+    seconds, times = timed_by_turns(*runs, growth.device, repeats=effort.repeats, cap=effort.cap)
+    return replace(blank, seconds=seconds, per_doubling=_per_doubling(times, case, before))
 
 
-def _per_doubling(last: ScaleRow | None, amount: int, seconds: Seconds) -> float | None:
+def _case_of(row: ScaleRow | None, sizes: Sequence[Case]) -> Case | None:
+    found = (case for case in sizes if row and (case.axis, case.amount) == (row.axis, row.amount))
+    return next(found, None)
+
+
+def _per_doubling(times: float, case: Case, before: Case) -> float:
     """By how much time grows for twice the amount: 2 if in proportion, less if slower."""
-    if last is None or last.seconds is None:
-        return None
-    slope = math.log(seconds.median / last.seconds.median) / math.log(amount / last.amount)
-    return 2**slope
+    return 2 ** (math.log(times) / math.log(case.amount / before.amount))
 
 
 def _too_large(case: Case, device: torch.device) -> str | None:

@@ -67,6 +67,40 @@ def timed(
     if first > cap:
         return Seconds.of([first]), made
     times = list[float]()
-    while len(times) < repeats or (sum(times) < _ENOUGH and len(times) < repeats**2):
+    while not _suffice(times, repeats):
         times.append(once(run, device)[0])
     return Seconds.of(times), made
+
+
+def timed_by_turns(
+    run: Callable[[], object],
+    other: Callable[[], object],
+    device: torch.device,
+    *,
+    repeats: int,
+    cap: float = math.inf,
+) -> tuple[Seconds, float]:
+    """Return the seconds of a run as `timed` does, and how many times those of another they are.
+
+    Both run by turns, and the ratio is the median of those of neighbours: machines become slower
+    and faster by a third within minutes, which between two runs that follow each other matters
+    little.
+
+    Args:
+        run: what to time.
+        other: what to compare it with.
+        device: that both run on.
+        repeats: as of `timed`.
+        cap: as of `timed`.
+    """
+    once(other, device)
+    first = once(run, device)[0]
+    pairs = [(once(other, device)[0], first)] if first > cap else []
+    while not (first > cap or _suffice([own for _, own in pairs], repeats)):
+        pairs.append((once(other, device)[0], once(run, device)[0]))
+    ratio = statistics.median(own / others for others, own in pairs)
+    return Seconds.of([own for _, own in pairs]), ratio
+
+
+def _suffice(times: Sequence[float], repeats: int) -> bool:
+    return len(times) >= repeats and (sum(times) >= _ENOUGH or len(times) >= repeats**2)

@@ -91,15 +91,17 @@ def timed_by_turns(
         other: what to compare it with.
         device: that both run on.
         repeats: as of `timed`.
-        cap: as of `timed`.
+        cap: as of `timed`; then the warm-ups of both are compared.
     """
-    once(other, device)
-    first = once(run, device)[0]
-    pairs = [(once(other, device)[0], first)] if first > cap else []
-    while not (first > cap or _suffice([own for _, own in pairs], repeats)):
-        pairs.append((once(other, device)[0], once(run, device)[0]))
-    ratio = statistics.median(own / others for others, own in pairs)
-    return Seconds.of([own for _, own in pairs]), ratio
+    before, first = once(other, device)[0], once(run, device)[0]
+    if first > cap:
+        return Seconds.of([first]), first / before
+    pairs = list[tuple[float, float]]()
+    while not _suffice([own for own, _ in pairs], repeats):
+        others = once(other, device)[0]
+        pairs.append((once(run, device)[0], others))
+    ratio = statistics.median(own / others for own, others in pairs)
+    return Seconds.of([own for own, _ in pairs]), ratio
 
 
 def _suffice(times: Sequence[float], repeats: int) -> bool:

@@ -224,7 +224,7 @@ def test_odd_sizes_are_made_even_and_it_is_said(views):
     assert pixels(Path("out/layers/layer_0.mp4")).shape == (1, 18, 26, 3)
 
 
-def test_pictures_are_a_folder_for_each_frame():
+def test_pictures_are_a_folder_for_each_frame(single):
     how = [*QUILT, "--frames", "8:14", "--batch", "10"]
     succeed("video", "film.mkv", *how, "--format", "png", "--bits", "16", "--out", "out")
     assert sorted(p.name for p in Path("out").glob("frame_*"))[::5] == [
@@ -232,6 +232,8 @@ def test_pictures_are_a_folder_for_each_frame():
         "frame_000013",
     ]
     found = read_layers("out/frame_000012")
+    others = torch.from_numpy(layers(single) / 255.0).movedim(-1, -3)
+    assert (found[0][:, None] - others).square().mean(dim=(0, 2, 3, 4)).argmin() == 12
     succeed("video", "film.mkv", *how, "--out", "lossless")
     exact = torch.from_numpy(layers("lossless")[:, 4] / 255.0).movedim(-1, -3)
     assert (found[0] - exact).abs().max() < 0.05  # codes of eight bits make up for each other

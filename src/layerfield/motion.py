@@ -166,9 +166,7 @@ def _of_neighbours(
     """Return the best motion of each half of a block: of the block, or of one next to it."""
     best = _cheapest(_costs_of_neighbours(new, old, motion))
     down, right = torch.tensor(_AROUND, device=motion.device)[best].unbind(dim=-1)
-    halves, columns = (torch.arange(n, device=motion.device) for n in best.shape)
-    y = (halves[:, None] // 2 + down).clamp(0, motion.shape[-2] - 1)
-    return motion[:, y, (columns + right).clamp(0, motion.shape[-1] - 1)]
+    return _beside(motion, down, right)
 
 
 def _costs_of_neighbours(
@@ -178,20 +176,23 @@ def _costs_of_neighbours(
     if serve(new, old):
         return neighbour_costs(new, old, motion, _AROUND)
     height, width = new.shape
-    costs = []
-    for step in _AROUND:
-        tried = _beside(motion, *step).repeat_interleave(BLOCK, -2).repeat_interleave(BLOCK, -1)
+    halves, costs = motion.new_zeros(-(-height // HALF), motion.shape[-1], dtype=torch.long), []
+    for down, right in _AROUND:
+        tried = _beside(motion, halves + down, halves + right)
+        tried = tried.repeat_interleave(HALF, -2).repeat_interleave(BLOCK, -1)
         errors = (moved(old, tried[:, :height, :width]) - new).square_()
         part = avg_pool2d(errors[None], (HALF, BLOCK), ceil_mode=True, count_include_pad=False)
         costs.append(part[0])
     return torch.stack(costs)
 
 
-def _beside(motion: Float[Tensor, "2 by bx"], down: int, right: int) -> Float[Tensor, "2 by bx"]:
-    """Return the motion of the blocks so far away, at an edge that of the nearest."""
-    rows, columns = (torch.arange(n, device=motion.device) for n in motion.shape[-2:])
-    y = (rows + down).clamp(0, len(rows) - 1)
-    return motion[:, y[:, None], (columns + right).clamp(0, len(columns) - 1)]
+def _beside(
+    motion: Float[Tensor, "2 by bx"], down: Int[Tensor, "hy bx"], right: Int[Tensor, "hy bx"]
+) -> Float[Tensor, "2 hy bx"]:
+    """Return the motion of blocks so far from that of a half, at an edge that of the nearest."""
+    halves, columns = (torch.arange(n, device=motion.device) for n in down.shape)
+    y, x = halves[:, None] // 2 + down, columns + right
+    return motion[:, y.clamp(0, motion.shape[-2] - 1), x.clamp(0, motion.shape[-1] - 1)]
 
 
 def _most(centre: Int[Tensor, "2 by bx"], costs: Tensor, reach: int) -> Int[Tensor, " 2"]:

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -203,17 +204,17 @@ def run_growth(
     done = {(row.series, row.amount) for row in rows}
     views_of = lru_cache(maxsize=2)(lambda case: case.views(growth.device))
     for case in growth.sizes:
-        blanks = [
-            (_blank(case, link, spelled(*method)), method)
-            for link in growth.links
-            for method in growth.methods
-        ]
-        for blank, method in blanks:
+        large = _too_large(case, growth.device)
+        for link, method in product(growth.links, growth.methods):
+            blank = _blank(case, link, spelled(*method))
             if (blank.series, case.amount) in done:
                 continue
             tick(f"{case.axis} {case.amount}, {blank.link}: {blank.method}")
-            earlier = [row for row in rows if row.series == blank.series and row.seconds]
-            rows.append(_scaled(blank, case, views_of, method, earlier, growth))
+            if large:
+                rows.append(replace(blank, left_out=large))
+            else:
+                series = [row for row in rows if row.series == blank.series]
+                rows.append(_scaled(blank, case, views_of, method, series, growth))
             keep(rows)
     return rows
 
@@ -228,32 +229,29 @@ def _scaled(
     case: Case,
     views_of: Callable[[Case], EightBitViews],
     method: tuple[str, int],
-    earlier: Sequence[ScaleRow],
+    series: Sequence[ScaleRow],
     growth: Growth,
 ) -> ScaleRow:
     """Return the row of a size, timed by turns with the one before if there is one."""
-    last, effort = earlier[-1] if earlier else None, growth.effort
-    if last is not None and last.seconds and last.seconds.median > effort.cap:
+    known, effort = {row.amount: row.seconds for row in series if row.seconds}, growth.effort
+    smaller = [s for s in growth.sizes if s.axis == case.axis and s.amount < case.amount]
+    before = next((size for size in reversed(smaller) if size.amount in known), None)
+    if before is not None and known[before.amount].median > effort.cap:
         return replace(blank, left_out=f"the size before took over {effort.cap:g} s")
-    if why := _too_large(case, growth.device) or unserved(method[0], case.display(blank.link)):
+    why = unserved(method[0], case.display(blank.link))
+    if why is not None:
         return replace(blank, left_out=why)
 
     def road(size: Case) -> Callable[[], Panels]:
         views, display = views_of(size), size.display(blank.link)
         return lambda: views_to_panels(views, display, *method)
 
-    before = _case_of(last, growth.sizes)
-    if last is None or before is None:
+    if before is None:
         seconds, _ = timed(road(case), growth.device, repeats=effort.repeats, cap=effort.cap)
         return replace(blank, seconds=seconds)
     runs = road(case), road(before)
     seconds, times = timed_by_turns(*runs, growth.device, repeats=effort.repeats, cap=effort.cap)
     return replace(blank, seconds=seconds, per_doubling=_per_doubling(times, case, before))
-
-
-def _case_of(row: ScaleRow | None, sizes: Sequence[Case]) -> Case | None:
-    found = (case for case in sizes if row and (case.axis, case.amount) == (row.axis, row.amount))
-    return next(found, None)
 
 
 def _per_doubling(times: float, case: Case, before: Case) -> float:

@@ -170,7 +170,7 @@ def _compare_around(costs, new, old, motion, steps, begin, end):
                         add_unlike(factors, old, there, width, new, here, sums)
                     total = sums.sum()
                 else:
-                    total = _unlike_at_edges(new, old, top, bottom, left, right, x, y)
+                    total = _unlike_at_edges(factors, new, old, top, bottom, left, right, x, y)
                 costs[step, half, column] = total / pixels
 
 
@@ -183,11 +183,11 @@ def _weigh(factors, across, below):
 
 
 @compiled
-def _unlike_at_edges(new, old, top, bottom, left, right, x, y):
+def _unlike_at_edges(factors, new, old, top, bottom, left, right, x, y):
     """Return the square difference of what may come from beyond edges, or of a part of a half."""
     height, width = old.shape
     last, lowest = np.float32(width - 1), np.float32(height - 1)
-    factors, total = np.empty(4, np.float32), np.float32(0)
+    total = np.float32(0)
     for row in range(top, bottom):
         down = min(max(np.float32(row) + y, np.float32(0)), lowest)
         upper, lower = old[int(down)], old[min(int(down) + 1, height - 1)]

@@ -68,21 +68,16 @@ def move_run(  # noqa: PLR0913, PLR0917 - whole numbers that compiled loops pass
         value = builder.select(builder.fcmp_ordered("<", value, low, flags=FREE), low, value)
         return builder.select(builder.fcmp_ordered(">", value, high, flags=FREE), high, value)
 
-    def neighbours(array: Memory, first: Any, below: Any) -> list[Any]:
-        rows = first, builder.add(first, below)
-        return [array.read(builder.add(row, row.type(n))) for row in rows for n in range(2)]
-
     def between(values: list[Any]) -> Any:
-        total = times(shares[0], values[0])
-        for share, value in zip(shares[1:], values[1:], strict=True):
-            total = plus(total, times(share, value))
-        return total
+        return _between(builder, shares, values)
 
-    states = neighbours(state, there, width)
+    states = _neighbours(builder, state, there, width)
     iterate = between([clamped(each) for each in states])
     dual = minus(between(states), iterate)
-    light = plus(new.read(place), minus(iterate, between(neighbours(even, here, narrow))))
-    change = times(again, minus(iterate, between(neighbours(carried, here, narrow))))
+    even_there = between(_neighbours(builder, even, here, narrow))
+    carried_there = between(_neighbours(builder, carried, here, narrow))
+    light = plus(new.read(place), minus(iterate, even_there))
+    change = times(again, minus(iterate, carried_there))
     left.write(clamped(light), place)
     made.write(plus(clamped(plus(light, change)), dual), to)
 
@@ -113,11 +108,21 @@ def add_unlike(
     """
     parts = [factors.read(place.type(n), _FLOAT) for n in range(_NEIGHBOURS)]
     shares = [everywhere(builder, each, LANES) for each in parts]
-    rows = there, builder.add(there, width)
-    known = [old.read(builder.add(row, row.type(n))) for row in rows for n in range(2)]
-    total = builder.fneg(new.read(place))
-    for share, value in zip(shares, known, strict=True):
-        total = builder.fadd(total, builder.fmul(share, value, flags=FREE), flags=FREE)
-    zero = place.type(0)
-    square = builder.fmul(total, total, flags=FREE)
+    known = _between(builder, shares, _neighbours(builder, old, there, width))
+    unlike, zero = builder.fsub(known, new.read(place), flags=FREE), place.type(0)
+    square = builder.fmul(unlike, unlike, flags=FREE)
     sums.write(builder.fadd(sums.read(zero), square, flags=FREE), zero)
+
+
+def _neighbours(builder: Any, array: Memory, first: Any, width: Any) -> list[Any]:
+    """Return the four pixels that each of `LANES` lies between, in a plane of such a width."""
+    rows = first, builder.add(first, width)
+    return [array.read(builder.add(row, row.type(n))) for row in rows for n in range(2)]
+
+
+def _between(builder: Any, shares: list[Any], values: list[Any]) -> Any:
+    """Return the sum of their shares."""
+    total = builder.fmul(shares[0], values[0], flags=FREE)
+    for share, value in zip(shares[1:], values[1:], strict=True):
+        total = builder.fadd(total, builder.fmul(share, value, flags=FREE), flags=FREE)
+    return total

@@ -3,8 +3,8 @@
 They are learned for light that adds up and for light that multiplies, on random scenes and displays
 of many kinds, and serve any number of views and layers at any spacing. A file of learned steps is
 safetensors: `N.full`, `N.coarse` and `N.newton` hold the constants of N steps, a row each (of steps
-on light that multiplies N are Newton's, behind `full` ones on logarithms); the metadata say what
-they are for.
+on light that multiplies N are Newton's, behind `full` ones on logarithms), `N.relief.0` and those
+after it the tensors of a `Relief`; the metadata say what they are for.
 """
 
 import json
@@ -12,12 +12,14 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
+from torch import Tensor
 
 from layerfield.display import Display
 from layerfield.io.safe_output import whole_file
@@ -29,6 +31,7 @@ from layerfield.solvers.admm_steps import Constants
 from layerfield.solvers.fourier_start import FourierStart
 from layerfield.solvers.learned_admm import LearnedAdmm
 from layerfield.solvers.newton_admm import FourierNewton, NewtonAdmm
+from layerfield.solvers.relief import Relief
 from layerfield.solvers.warm_admm import WarmAdmm
 from layerfield.weights import WEIGHT_SUFFIX
 
@@ -57,16 +60,37 @@ class LearnedCard:
 
 @dataclass(frozen=True)
 class Rows:
-    """The constants of a number of steps: see `LearnedAdmm` and, for `newton`, `NewtonAdmm`."""
+    """What a number of steps depends on: see `LearnedAdmm` and, for `newton`, `NewtonAdmm`."""
 
     full: Sequence[Constants]
     coarse: Sequence[Constants] = ()
     newton: Sequence[Constants] = ()
+    relief: Relief | None = None
 
     @property
     def direct(self) -> LearnedAdmm:
         """The solver of what adds up."""
-        return LearnedAdmm(self.full, self.coarse)
+        return LearnedAdmm(self.full, self.coarse, self.relief)
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return all as tensors, by the names of their parts."""
+        rows = {"full": self.full, "coarse": self.coarse, "newton": self.newton}
+        found = {part: torch.tensor([list(each) for each in of]) for part, of in rows.items() if of}
+        parts = chain.from_iterable(self.relief.convolutions) if self.relief else ()
+        return found | {f"relief.{n}": each.contiguous() for n, each in enumerate(parts)}
+
+    @classmethod
+    def of(cls, tensors: Mapping[str, Tensor]) -> "Rows":
+        """Return what `tensors` were made from.
+
+        Raises:
+            TypeError: constants that are none.
+            KeyError: parts that are none.
+        """
+        relief = [tensors[f"relief.{n}"] for n in range(sum("relief" in name for name in tensors))]
+        rows = {name: each.tolist() for name, each in tensors.items() if "relief" not in name}
+        known = {name: tuple(Constants(*row) for row in of) for name, of in rows.items()}
+        return cls(**known, relief=Relief.of(relief) if relief else None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,10 +126,9 @@ class Learned:
 def write_learned(path: Path, learned: Learned) -> None:
     """Write a file of learned steps, whole or not at all; an earlier one is replaced."""
     tensors = {
-        f"{number}.{part}": torch.tensor([list(row) for row in rows])
+        f"{number}.{part}": tensor
         for number, known in learned.steps.items()
-        for part, rows in vars(known).items()
-        if rows
+        for part, tensor in known.tensors().items()
     }
     with whole_file(path, force=True) as temporary:
         save_file(tensors, temporary, {_KEY: json.dumps(asdict(learned.card), sort_keys=True)})
@@ -120,12 +143,11 @@ def read_learned(path: Path) -> Learned:
     try:
         with safe_open(path, "pt") as file:
             card = LearnedCard(**json.loads((file.metadata() or {})[_KEY]))
-            parts: dict[int, dict[str, tuple[Constants, ...]]] = defaultdict(dict)
+            parts: dict[int, dict[str, Tensor]] = defaultdict(dict)
             for name in sorted(file.keys()):
                 number, _, part = name.partition(".")
-                rows = file.get_tensor(name).tolist()
-                parts[int(number)][part] = tuple(Constants(*row) for row in rows)
-        made = {number: Rows(**known) for number, known in sorted(parts.items())}
+                parts[int(number)][part] = file.get_tensor(name)
+        made = {number: Rows.of(known) for number, known in sorted(parts.items())}
     except FileNotFoundError:
         raise ValueError(f"there is no file {path}; expected learned steps") from None
     except (SafetensorError, KeyError, ValueError, TypeError, OSError):

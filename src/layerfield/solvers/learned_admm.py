@@ -21,6 +21,7 @@ from layerfield.solvers.admm_steps import (
     right_shares,
 )
 from layerfield.solvers.fourier_admm import AdmmState, FourierAdmm
+from layerfield.solvers.relief import Relief
 
 COARSE = 4  # times larger are the pixels of the coarse steps
 BALANCE = 0.003  # as of the direct solver
@@ -61,17 +62,20 @@ class LearnedAdmm:
     bounds, is taken out (`Spectral.window`) and solved by itself on pixels four times as large, by
     steps that cost a sixteenth each.
 
+    Behind the first of several steps a network hands on what layers cannot hold, see `Relief`.
     Behind the last learned step, and from layers that are given, the direct solver goes on.
 
     Args:
         full: constants of every step, one at the least, of displays of few layers; of more see
             `Constants.among`.
         coarse: constants of the steps on large pixels.
+        relief: what is between the first step and the second.
         after: what goes on.
     """
 
     full: Sequence[Constants]
     coarse: Sequence[Constants]
+    relief: Relief | None = None
     after: FourierAdmm = field(default_factory=FourierAdmm)
 
     def init(
@@ -96,7 +100,7 @@ class LearnedAdmm:
         if count == 0:
             return state
         if isinstance(state, Unbegun):
-            rows = self._rows(problem, 0, count)
+            rows = self._rows(problem, 0, count if self.relief is None else 1)
             made = LearnedState(*self._from_start(problem, rows), len(rows))
             return self.steps(problem, made, count - len(rows))
         if state.after is not None or state.count >= len(self.full):
@@ -104,8 +108,10 @@ class LearnedAdmm:
             assert known is not None
             after = self.after.steps(problem, known, count)
             return LearnedState(after.shadow, None, state.count, after)
-        rows = self._rows(problem, state.count, count)
-        made = after_steps(problem, state.shadow, state.before, rows, BALANCE)
+        rows, shadow = self._rows(problem, state.count, count), state.shadow
+        if self.relief is not None and state.count == 1:
+            shadow = self.relief.relieved(shadow, problem.gram.layer_size, problem.bounds)
+        made = after_steps(problem, shadow, state.before, rows, BALANCE)
         return self.steps(problem, LearnedState(*made, state.count + len(rows)), count - len(rows))
 
     def _rows(self, problem: Problem, made: int, count: int) -> list[Constants]:

@@ -5,6 +5,7 @@ derivatives are themselves once more; the rest is left to autograd.
 """
 
 import math
+from itertools import pairwise
 from typing import Any
 
 import torch
@@ -27,6 +28,7 @@ from layerfield.solvers.admm_steps import OVERRELAXED, Constants, stride
 from layerfield.solvers.fourier_admm import dual_at_bounds
 from layerfield.solvers.learned_admm import BALANCE, coarse_grid
 from layerfield.solvers.newton_admm import renews_scale, scale_of, slope
+from layerfield.solvers.relief import SIGNS, Relief
 
 _FIRST = {"penalty": math.log(0.02), "relaxation": 1.6, "trust": 1.0, "kept": 0.6, "momentum": 0.0}
 _MOMENTUM = Constants._fields.index("momentum")
@@ -44,24 +46,29 @@ class LearnedSteps(nn.Module):
         full: number of steps.
         coarse: number of steps on large pixels.
         newton: number of steps behind them, on light that is multiplied.
+        relief: channels of the network behind the first of several steps; none if 0.
 
     Attributes:
         full: a row for every step, in the order of `Constants`; the logarithm of the penalty.
         coarse: the same; of the penalty above its least.
         newton: as `full`.
+        relief: the tensors of a `Relief`.
     """
 
-    def __init__(self, full: int, coarse: int, newton: int = 0) -> None:
+    def __init__(self, full: int, coarse: int, newton: int = 0, relief: int = 0) -> None:
         super().__init__()
         self.full = nn.Parameter(_start(full))
         self.coarse = nn.Parameter(_start(coarse))
         self.newton = nn.Parameter(torch.tensor([_FIRST_NEWTON]).repeat(newton, 1))
+        self.relief = nn.ParameterList(_first_relief(relief) if relief and full > 1 else [])
 
     @torch.no_grad()
     def rows(self) -> Rows:
         """Return what was learned."""
         made = _real(self.full), _real(self.coarse, _SOFTEST), _real(self.newton)
-        return Rows(*(tuple(Constants(*row) for row in rows.tolist()) for rows in made))
+        constants = (tuple(Constants(*row) for row in rows.tolist()) for rows in made)
+        tensors = [each.detach().clone() for each in self.relief]
+        return Rows(*constants, relief=Relief.of(tensors) if tensors else None)
 
     def again(self, layers: int) -> Float[Tensor, ""]:
         """Return the momentum from frame to frame, of so many layers; see `WarmAdmm`."""
@@ -82,6 +89,8 @@ class LearnedSteps(nn.Module):
         full, coarse = (_among(problem.layer_count, rows) for rows in real)
         data = _completed(problem, problem.even_start(gram.torus))
         shadow = _first(gram.spectral, data, full[0], coarse, bounds)
+        if len(self.relief):
+            shadow = Relief.of(list(self.relief)).relieved(shadow, gram.layer_size, bounds)
         return gram.from_torus(_steps(problem, shadow, full[1:])).clamp(*bounds)
 
     def behind(
@@ -141,6 +150,17 @@ def _start(steps: int) -> Tensor:
     rows = torch.tensor([list(_FIRST.values())]).repeat(steps, 1)
     rows[:, 0] = torch.linspace(_LAST_PENALTY, _FIRST["penalty"], steps).flip(0)
     return rows
+
+
+def _first_relief(channels: int) -> list[nn.Parameter]:
+    """Return a network that does nothing yet."""
+    generator = torch.Generator().manual_seed(channels)
+    widths, made = (SIGNS, channels, channels, 1), list[Tensor]()
+    for given, answered in pairwise(widths):
+        reach = 0.0 if answered == 1 else 1 / math.sqrt(9 * given)
+        for shape in ((answered, given, 3, 3), (answered, given, 3, 3), (answered,)):
+            made.append(torch.empty(shape).uniform_(-reach, reach, generator=generator))
+    return [nn.Parameter(each) for each in made]
 
 
 def _real(rows: Tensor, softest: float = 0.0) -> Tensor:

@@ -27,6 +27,7 @@ from layerfield.training.sources import first_seed, scenes
 from layerfield.training.steps_recipe import StepsRecipe
 
 _CPU = torch.device("cpu")
+_NETWORK = 0.125  # rate of a network, of that of constants
 
 
 def problems(recipe: StepsRecipe, purpose: str) -> list[Problem]:
@@ -80,7 +81,9 @@ def learn(
         given: to train on, one after the other.
         tick: called with the number of iterations done.
     """
-    optimiser = torch.optim.Adam(model.parameters(), lr=recipe.rate)
+    few = [each for name, each in model.named_parameters() if not name.startswith("relief")]
+    groups = [{"params": few}, {"params": list(model.relief), "lr": _NETWORK * recipe.rate}]
+    optimiser = torch.optim.Adam(groups, lr=recipe.rate)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, recipe.iterations)
     for done, lesson in enumerate(islice(cycle(given), recipe.iterations)):
         tick(done)
@@ -184,7 +187,7 @@ def _ticker(run: StepsRun, number: int, stage: int) -> Callable[[int], None]:
     recipe = run.recipe
     pixels = [each.scenes * each.size**2 for each in recipe.stages]
     work = [
-        sum(recipe.rows(count)) * each * part.iterations
+        sum(recipe.rows(count)[:3]) * each * part.iterations
         for count in recipe.steps
         for part, each in zip(recipe.stages, pixels, strict=True)
     ]

@@ -57,6 +57,7 @@ class StepsRecipe(Table):
             multiplied they are Newton steps.
         before: number of steps on logarithms before those, where light is multiplied.
         coarse: number of steps on large pixels.
+        relief: channels of the network behind the first of several steps, see `Relief`; 0 for none.
         darkest: darker light is taken for this before its logarithm.
         frames: of videos whose frames start from the one before; 1 for pictures that do not move.
         displays: to train on.
@@ -77,6 +78,7 @@ class StepsRecipe(Table):
     steps: Annotated[tuple[Count, ...], Field(min_length=1)]
     before: Annotated[int, Field(strict=True, ge=0)] = 0
     coarse: Annotated[int, Field(strict=True, ge=0)] = 6
+    relief: Annotated[int, Field(strict=True, ge=0, le=64)] = 0
     darkest: Positive = 0.1
     frames: Count = 1
     displays: Annotated[tuple[Grid, ...], Field(min_length=1)]
@@ -89,10 +91,11 @@ class StepsRecipe(Table):
     then: tuple[Stage, ...] = ()
     seed: Annotated[int, Field(strict=True, ge=0, le=255)] = 0
 
-    def rows(self, steps: int) -> tuple[int, int, int]:
-        """Return the numbers of full, coarse and Newton steps where so many steps are asked for."""
-        newton = self.link == "multiplicative"
-        return (self.before, self.coarse, steps) if newton else (steps, self.coarse, 0)
+    def rows(self, steps: int) -> tuple[int, int, int, int]:
+        """Return what `LearnedSteps` is made with where so many steps are asked for."""
+        if self.link == "multiplicative":
+            return self.before, self.coarse, steps, 0
+        return steps, self.coarse, 0, self.relief
 
     @property
     def stages(self) -> list["StepsRecipe"]:
@@ -112,6 +115,14 @@ class StepsRecipe(Table):
             raise ValueError(
                 f"'frames' is {self.frames}, but link and coarse are '{self.link}' and "
                 f"{self.coarse}; expected 'additive' and 0"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _relief_where_pictures_start_anew(self):
+        if self.relief and (self.frames > 1 or self.link == "multiplicative"):
+            raise ValueError(
+                f"'relief' is {self.relief}, expected 0 for videos and where light is multiplied"
             )
         return self
 

@@ -1,0 +1,152 @@
+"""Where light goes that its layer cannot hold: a small network on cells of 8x8 pixels."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn.functional import (
+    avg_pool2d,
+    conv2d,
+    interpolate,
+    leaky_relu,
+    max_pool2d,
+    pad,
+    relu,
+)
+
+from layerfield.kernels.cells import CELL, LEAK, answers_of_cells, signs_of_cells, with_cells
+from layerfield.kernels.compiled import serve
+
+SIGNS = 6  # what is known of a cell
+_BEYOND = 10.0  # what goes beyond the bounds is small
+
+
+class Convolution(NamedTuple):
+    """One layer of the network; the layers of the display are told apart by what they hold alone.
+
+    Args:
+        own: 3x3 taps on what is known of a layer of the display.
+        common: the same on the mean of all of them.
+        bias: added to both.
+    """
+
+    own: Float[Tensor, "out in 3 3"]
+    common: Float[Tensor, "out in 3 3"]
+    bias: Float[Tensor, " out"]
+
+
+@dataclass(frozen=True, eq=False)
+class Relief:
+    """A change of s = z + u between two steps, which those would take many more to find.
+
+    Light of low frequencies can lie in one layer or another nearly without a difference to viewers.
+    Bounds decide, and a step hands on by a few pixels what one pixel cannot hold. So for every
+    cell, by how much its pixels may fall and rise and how far s goes beyond the bounds is told to a
+    network, which answers how much light the layer takes from the others there:
+
+        h = |[min z - low, high - max z, mean u+, mean u-, min u, max u]|   of a cell, 0 to 1
+        h_k <- g(own * h_k + common * mean_k h + bias)  g leaky; from the second on h_k is added
+        d_k = h_k - mean_k h,   s <- s + d, between the middles of cells linearly
+
+    All of it together sees the same light: sum_k d_k = 0. The network knows nothing of the display
+    nor of what is shown, so it serves any number of layers and any light.
+
+    Args:
+        convolutions: the last has one channel.
+    """
+
+    convolutions: Sequence[Convolution]
+
+    @classmethod
+    def of(cls, tensors: Sequence[Tensor]) -> "Relief":
+        """Return the network of such tensors, one convolution after the other."""
+        count = len(Convolution._fields)
+        starts = range(0, len(tensors), count)
+        return cls([Convolution(*tensors[n : n + count]) for n in starts])
+
+    def relieved(
+        self,
+        shadow: Float[Tensor, "*batch layer c ty tx"],
+        size: tuple[int, int],
+        bounds: tuple[float, float],
+    ) -> Float[Tensor, "*batch layer c ty tx"]:
+        """Return s with that change.
+
+        Args:
+            shadow: s, on a torus; the layers are in its top left corner.
+            size: height and width of the layers.
+            bounds: of z.
+        """
+        change = (bounds[1] - bounds[0]) * self.changes(signs(shadow, size, bounds))
+        if serve(shadow, change):
+            return with_cells(shadow, change, size)
+        planes = change.reshape(-1, 1, *change.shape[-2:])
+        wide = interpolate(planes, scale_factor=CELL, mode="bilinear")[..., : size[0], : size[1]]
+        beside = (0, shadow.shape[-1] - size[1], 0, shadow.shape[-2] - size[0])
+        return shadow + pad(wide, beside).reshape(shadow.shape)
+
+    def changes(
+        self, known: Float[Tensor, "*batch layer c sign cy cx"]
+    ) -> Float[Tensor, "*batch layer c cy cx"]:
+        """Return d of every cell.
+
+        Args:
+            known: what `signs` returns.
+        """
+        *batch, number, channels, _, height, width = known.shape
+        seen = known.transpose(-5, -4).reshape(-1, number, SIGNS, height, width)
+        made = self._answers(seen).reshape(*batch, channels, number, height, width)
+        return (made - made.mean(dim=-3, keepdim=True)).transpose(-4, -3)
+
+    def _answers(
+        self, seen: Float[Tensor, "picture layer sign cy cx"]
+    ) -> Float[Tensor, "picture layer cy cx"]:
+        if serve(seen, *(each for part in self.convolutions for each in part)):
+            return answers_of_cells(seen, self.convolutions)
+        for n, part in enumerate(self.convolutions):
+            own = _convolved(seen.flatten(0, 1), part.own).unflatten(0, seen.shape[:2])
+            common = _convolved(seen.mean(dim=1), part.common)
+            made = own + (common + part.bias[:, None, None])[:, None]
+            seen = leaky_relu(made, LEAK) + (seen if n else 0)
+        return made[:, :, 0]
+
+
+def signs(
+    shadow: Float[Tensor, "*batch layer c ty tx"],
+    size: tuple[int, int],
+    bounds: tuple[float, float],
+) -> Float[Tensor, "*batch layer c sign cy cx"]:
+    """Return what is known of every cell, see `Relief`, in shares of the range of z.
+
+    Args:
+        shadow: s, on a torus.
+        size: height and width of the layers in its top left corner; cells at the lower and the
+            right edge may be smaller.
+        bounds: of z.
+    """
+    low, high = bounds
+    if serve(shadow):
+        found = signs_of_cells(shadow, size, bounds)
+    else:
+        planes = shadow[..., : size[0], : size[1]].reshape(-1, 1, *size)
+        least, most = (sign * max_pool2d(sign * planes, CELL, ceil_mode=True) for sign in (-1, 1))
+        over, under = (
+            avg_pool2d(relu(each), CELL, ceil_mode=True, count_include_pad=False)
+            for each in (planes - high, low - planes)
+        )
+        found = torch.cat([least, most, over, under], dim=1)
+        found = found.reshape(*shadow.shape[:-2], *found.shape[1:])
+    least, most, over, under = (
+        (each - shift) / (high - low)
+        for each, shift in zip(found.unbind(dim=-3), (low, low, 0.0, 0.0), strict=True)
+    )
+    falls, rises = least.clamp(0, 1), 1 - most.clamp(0, 1)
+    beyond = over, -under, least - falls, most - (1 - rises)
+    return torch.stack([falls, rises, *(_BEYOND * each for each in beyond)], dim=-3)
+
+
+def _convolved(values: Tensor, taps: Tensor) -> Tensor:
+    return conv2d(pad(values, (1, 1, 1, 1), mode="replicate"), taps)

@@ -1,0 +1,111 @@
+"""The network on cells between two steps: compiled or not, for training, in files."""
+
+import pytest
+import torch
+
+from layerfield import Display
+from layerfield.fast import Learned, LearnedCard, read_learned, write_learned
+from layerfield.kernels.compiled import plain
+from layerfield.solve import Problem, solve
+from layerfield.solvers.learned_admm import LearnedState
+from layerfield.solvers.relief import SIGNS, Relief, signs
+from layerfield.training.learned_steps import LearnedSteps
+from layerfield.training.steps_recipe import StepsRecipe, read_steps_recipe
+
+BOUNDS = (0.1, 0.9)
+
+
+def network(channels: int = 3) -> Relief:
+    generator = torch.Generator().manual_seed(0)
+    shapes = []
+    for given, answered in ((SIGNS, channels), (channels, channels), (channels, 1)):
+        shapes += [(answered, given, 3, 3)] * 2 + [(answered,)]
+    return Relief.of([0.2 * torch.randn(shape, generator=generator) for shape in shapes])
+
+
+def learned(steps: int) -> LearnedSteps:
+    model = LearnedSteps(steps, 2, relief=3)
+    with torch.no_grad():
+        generator = torch.Generator().manual_seed(1)
+        for rows in model.parameters():
+            rows.add_(0.1 * torch.randn(rows.shape, generator=generator))
+    return model
+
+
+@pytest.mark.parametrize("size", [(40, 57), (16, 24), (3, 64), (1, 1)])
+def test_compiled_loops_do_what_the_formula_says(size):
+    torus = size[0] + 3, size[1] + 5
+    shadow = 0.5 + 0.5 * torch.randn(2, 1, 3, 2, *torus)
+    known = shadow.clone()
+    found = network().relieved(shadow, size, BOUNDS)
+    assert torch.equal(shadow, known)
+    with plain():
+        torch.testing.assert_close(
+            found, network().relieved(shadow, size, BOUNDS), atol=2e-5, rtol=0
+        )
+
+
+def test_the_layers_together_show_the_same_light():
+    shadow = 0.5 + 0.5 * torch.randn(1, 3, 3, 50, 60)
+    change = network().relieved(shadow, (44, 51), BOUNDS) - shadow
+    assert change[..., :44, :51].abs().max() > 0.01
+    assert change.sum(dim=1).abs().max() < 1e-5
+    assert not change[..., 44:, :].any()
+    assert not change[..., 51:].any()
+
+
+def test_signs_are_those_of_the_pixels_of_a_cell():
+    shadow = torch.full((1, 1, 1, 10, 12), 0.5)
+    shadow[..., 1, 2], shadow[..., 3, 4] = -0.06, 1.54
+    known = signs(shadow, (10, 12), (-0.1, 1.5))[0, 0, 0]
+    expected = torch.tensor([0.04, -0.04, 0.04 / 64, 0.0, 0.0, 0.04]) / 1.6
+    expected[0], expected[1] = 0.04 / 1.6, 0.0
+    expected[2:] *= 10
+    torch.testing.assert_close(known[:, 0, 0], expected, atol=1e-6, rtol=0)
+    assert known.shape == (SIGNS, 2, 2)
+    torch.testing.assert_close(known[:2, 1, 1], torch.tensor([0.6, 1.0]) / 1.6)
+
+
+def test_what_runs_is_what_is_trained():
+    problem = Problem.of(Display.load("additive-3"), torch.rand(25, 2, 40, 57))
+    model = learned(3)
+    made = solve(problem, model.rows().direct, iterations=3)
+    assert torch.allclose(made.layers, model(problem), atol=2e-5)
+
+
+def test_steps_one_by_one_are_those_made_at_once():
+    problem = Problem.of(Display.load("additive-3"), torch.rand(25, 1, 40, 57))
+    solver = learned(3).rows().direct
+    state = solver.init(problem, None)
+    for _ in range(3):
+        state = solver.step(problem, state)
+    at_once = solver.steps(problem, solver.init(problem, None), 3)
+    assert isinstance(state, LearnedState)
+    assert isinstance(at_once, LearnedState)
+    torch.testing.assert_close(state.shadow, at_once.shadow, atol=1e-5, rtol=0)
+
+
+def test_derivatives_reach_the_network():
+    problem = Problem.of(Display.load("additive-3"), torch.rand(25, 1, 24, 40))
+    model = learned(2)
+    model(problem).square().mean().backward()
+    assert all(each.grad is not None and each.grad.abs().sum() > 0 for each in model.relief)
+    assert len(LearnedSteps(1, 2, relief=3).relief) == 0  # nothing is behind a single step
+
+
+def test_a_file_holds_the_network(tmp_path):
+    card = LearnedCard("fast", "additive", 0.1, "mine", {})
+    write_learned(tmp_path / "mine.safetensors", Learned({2: learned(2).rows()}, card))
+    found = read_learned(tmp_path / "mine.safetensors").steps[2]
+    assert found.relief is not None
+    pairs = zip(found.relief.convolutions, learned(2).rows().relief.convolutions, strict=True)
+    assert all(torch.equal(a, b) for own, others in pairs for a, b in zip(own, others, strict=True))
+
+
+@pytest.mark.parametrize(
+    "other", [{"link": "multiplicative", "before": 6}, {"coarse": 0, "frames": 3}]
+)
+def test_recipes_with_a_network_are_for_single_pictures_that_add_up(other):
+    known = read_steps_recipe("fast-additive").model_dump(mode="json")
+    with pytest.raises(ValueError, match="'relief' is 4, expected 0"):
+        StepsRecipe.model_validate(known | other)

@@ -10,6 +10,7 @@ from layerfield.solve import Problem, solve
 from layerfield.solvers.learned_admm import LearnedState
 from layerfield.solvers.relief import SIGNS, Relief, signs
 from layerfield.training.learned_steps import LearnedSteps
+from layerfield.training.steps import learn, lessons, problems
 from layerfield.training.steps_recipe import StepsRecipe, read_steps_recipe
 
 BOUNDS = (0.1, 0.9)
@@ -18,9 +19,10 @@ BOUNDS = (0.1, 0.9)
 def network(channels: int = 3) -> Relief:
     generator = torch.Generator().manual_seed(0)
     shapes = []
-    for given, answered in ((SIGNS, channels), (channels, channels), (channels, 1)):
-        shapes += [(answered, given, 3, 3)] * 2 + [(answered,)]
-    return Relief.of([0.2 * torch.randn(shape, generator=generator) for shape in shapes])
+    for given in (SIGNS, channels):
+        shapes += [(channels, given, 3, 3)] * 2 + [(channels,)]
+    made = [0.2 * torch.randn(each, generator=generator) for each in (*shapes, (1, channels, 3, 3))]
+    return Relief.of(made)
 
 
 def learned(steps: int) -> LearnedSteps:
@@ -98,8 +100,8 @@ def test_a_file_holds_the_network(tmp_path):
     write_learned(tmp_path / "mine.safetensors", Learned({2: learned(2).rows()}, card))
     found = read_learned(tmp_path / "mine.safetensors").steps[2]
     assert found.relief is not None
-    pairs = zip(found.relief.convolutions, learned(2).rows().relief.convolutions, strict=True)
-    assert all(torch.equal(a, b) for own, others in pairs for a, b in zip(own, others, strict=True))
+    pairs = zip(found.relief.tensors, learned(2).rows().relief.tensors, strict=True)
+    assert all(torch.equal(*pair) for pair in pairs)
 
 
 @pytest.mark.parametrize(
@@ -109,3 +111,27 @@ def test_recipes_with_a_network_are_for_single_pictures_that_add_up(other):
     known = read_steps_recipe("fast-additive").model_dump(mode="json")
     with pytest.raises(ValueError, match="'relief' is 4, expected 0"):
         StepsRecipe.model_validate(known | other)
+
+
+def test_videos_are_not_learned_from_in_batches():
+    known = read_steps_recipe("fast-additive-warm").model_dump(mode="json")
+    with pytest.raises(ValueError, match="'batch' is 2, expected none"):
+        StepsRecipe.model_validate(known | {"batch": 2})
+
+
+def test_constants_come_first_and_scenes_in_batches():
+    """The network is learned in the last stage; until then it does nothing."""
+    stage = {"size": 48, "scenes": 5, "batch": 2, "iterations": 3, "rate": 0.01}
+    facts = read_steps_recipe("fast-additive").model_dump(mode="json")
+    grids = facts["displays"][1:3]
+    facts |= {"size": 48, "scenes": 1, "iterations": 3, "displays": grids, "then": [stage]}
+    first, last = StepsRecipe.model_validate(facts).stages
+    model = LearnedSteps(*last.rows(2))
+    posed = problems(last, "training")
+    assert [len(each.back_projected) for each in posed] == [2, 2, 2, 2, 1, 1]
+    assert [len(each.weights) for each in posed[:2]] == [25, 9]
+    before = [each.detach().clone() for each in model.relief]
+    learn(first, model, lessons(first, posed), lambda _: None)
+    assert all(map(torch.equal, before, model.relief))
+    learn(last, model, lessons(last, posed), lambda _: None)
+    assert not any(map(torch.equal, before, model.relief))

@@ -12,7 +12,6 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -76,7 +75,7 @@ class Rows:
         """Return all as tensors, by the names of their parts."""
         rows = {"full": self.full, "coarse": self.coarse, "newton": self.newton}
         found = {part: torch.tensor([list(each) for each in of]) for part, of in rows.items() if of}
-        parts = chain.from_iterable(self.relief.convolutions) if self.relief else ()
+        parts = self.relief.tensors if self.relief else ()
         return found | {f"relief.{n}": each.contiguous() for n, each in enumerate(parts)}
 
     @classmethod

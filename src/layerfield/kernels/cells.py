@@ -35,23 +35,25 @@ def signs_of_cells(
 
 def answers_of_cells(
     known: Float[Tensor, "picture layer sign cy cx"],
-    convolutions: Sequence[tuple[Tensor, Tensor, Tensor]],
+    hidden: Sequence[tuple[Tensor, Tensor, Tensor]],
+    last: Float[Tensor, "1 channel 3 3"],
 ) -> Float[Tensor, "picture layer cy cx"]:
     """Return what a network says to all cells, before its mean over layers is taken off.
 
     Args:
         known: of single precision, on a processor.
-        convolutions: taps for every layer, taps for the mean of all, and what is added; see
-            `Relief`.
+        hidden: taps for every layer, taps for the mean of all, and what is added; see `Relief`.
+        last: taps for every layer.
     """
     result = torch.empty(*known.shape[:2], *known.shape[3:])
     own, common, bias = (
         tuple(each.detach().contiguous().numpy() for each in part)
-        for part in zip(*convolutions, strict=True)
+        for part in zip(*hidden, strict=True)
     )
     given = result.numpy(), known.contiguous().numpy(), own, common, bias
-    numbers = known.numel() * sum(len(each) for each in bias)
-    _answer.in_spans(*given, count=len(known), numbers=numbers)
+    taps = last.detach().contiguous().numpy()
+    numbers = known.numel() * (1 + sum(len(each) for each in bias))
+    _answer.in_spans(*given, taps, count=len(known), numbers=numbers)
     return result
 
 
@@ -106,10 +108,9 @@ def _look(made, planes, height, width, low, high, begin, end):
 
 
 @compiled
-def _answer(made, known, own, common, bias, begin, end):
+def _answer(made, known, own, common, bias, last, begin, end):
     """All layers of pictures, from and to."""
     number, signs, height, width = known.shape[1:]
-    last = len(own) - 1
     for picture in range(begin, end):
         seen = np.empty((number, signs, height + 2, width + 2), np.float32)
         seen[:, :, 1:-1, 1:-1] = known[picture]
@@ -121,11 +122,12 @@ def _answer(made, known, own, common, bias, begin, end):
             for k in range(number):
                 found = shared.copy()
                 _convolve(found, seen[k], own[n])
-                if n == last:
-                    made[picture, k] = found[0]
-                else:
-                    _go_on(after[k], found, seen[k], n > 0)
+                _go_on(after[k], found, seen[k], n > 0)
             seen = after
+        for k in range(number):
+            _frame(seen[k])
+            made[picture, k] = 0
+            _convolve(made[picture, k : k + 1], seen[k], last)
 
 
 @compiled

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import NamedTuple
 
 import torch
@@ -25,7 +26,7 @@ _BEYOND = 10.0  # what goes beyond the bounds is small
 
 
 class Convolution(NamedTuple):
-    """One layer of the network; the layers of the display are told apart by what they hold alone.
+    """A hidden layer of the network; those of a display are told apart by what they hold alone.
 
     Args:
         own: 3x3 taps on what is known of a layer of the display.
@@ -49,23 +50,31 @@ class Relief:
 
         h = |[min z - low, high - max z, mean u+, mean u-, min u, max u]|   of a cell, 0 to 1
         h_k <- g(own * h_k + common * mean_k h + bias)  g leaky; from the second on h_k is added
-        d_k = h_k - mean_k h,   s <- s + d, between the middles of cells linearly
+        d_k = last * (h_k - mean_k h),   s <- s + d, between the middles of cells linearly
 
     All of it together sees the same light: sum_k d_k = 0. The network knows nothing of the display
     nor of what is shown, so it serves any number of layers and any light.
 
     Args:
-        convolutions: the last has one channel.
+        hidden: all convolutions but the last.
+        last: 3x3 taps.
     """
 
-    convolutions: Sequence[Convolution]
+    hidden: Sequence[Convolution]
+    last: Float[Tensor, "1 in 3 3"]
+
+    @property
+    def tensors(self) -> list[Tensor]:
+        """All of them, one convolution after the other."""
+        return [*chain.from_iterable(self.hidden), self.last]
 
     @classmethod
     def of(cls, tensors: Sequence[Tensor]) -> "Relief":
-        """Return the network of such tensors, one convolution after the other."""
+        """Return the network of such tensors."""
+        *hidden, last = tensors
         count = len(Convolution._fields)
-        starts = range(0, len(tensors), count)
-        return cls([Convolution(*tensors[n : n + count]) for n in starts])
+        starts = range(0, len(hidden), count)
+        return cls([Convolution(*hidden[n : n + count]) for n in starts], last)
 
     def relieved(
         self,
@@ -104,14 +113,14 @@ class Relief:
     def _answers(
         self, seen: Float[Tensor, "picture layer sign cy cx"]
     ) -> Float[Tensor, "picture layer cy cx"]:
-        if serve(seen, *(each for part in self.convolutions for each in part)):
-            return answers_of_cells(seen, self.convolutions)
-        for n, part in enumerate(self.convolutions):
-            own = _convolved(seen.flatten(0, 1), part.own).unflatten(0, seen.shape[:2])
+        if serve(seen, *self.tensors):
+            return answers_of_cells(seen, self.hidden, self.last)
+        for n, part in enumerate(self.hidden):
+            own = _of_layers(seen, part.own)
             common = _convolved(seen.mean(dim=1), part.common)
             made = own + (common + part.bias[:, None, None])[:, None]
             seen = leaky_relu(made, LEAK) + (seen if n else 0)
-        return made[:, :, 0]
+        return _of_layers(seen, self.last)[:, :, 0]
 
 
 def signs(
@@ -146,6 +155,12 @@ def signs(
     falls, rises = least.clamp(0, 1), 1 - most.clamp(0, 1)
     beyond = over, -under, least - falls, most - (1 - rises)
     return torch.stack([falls, rises, *(_BEYOND * each for each in beyond)], dim=-3)
+
+
+def _of_layers(
+    values: Float[Tensor, "picture layer in cy cx"], taps: Float[Tensor, "out in 3 3"]
+) -> Float[Tensor, "picture layer out cy cx"]:
+    return _convolved(values.flatten(0, 1), taps).unflatten(0, values.shape[:2])
 
 
 def _convolved(values: Tensor, taps: Tensor) -> Tensor:

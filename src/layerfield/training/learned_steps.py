@@ -155,12 +155,12 @@ def _start(steps: int) -> Tensor:
 def _first_relief(channels: int) -> list[nn.Parameter]:
     """Return a network that does nothing yet."""
     generator = torch.Generator().manual_seed(channels)
-    widths, made = (SIGNS, channels, channels, 1), list[Tensor]()
-    for given, answered in pairwise(widths):
-        reach = 0.0 if answered == 1 else 1 / math.sqrt(9 * given)
+    made = list[Tensor]()
+    for given, answered in pairwise((SIGNS, channels, channels)):
+        reach = 1 / math.sqrt(9 * given)
         for shape in ((answered, given, 3, 3), (answered, given, 3, 3), (answered,)):
             made.append(torch.empty(shape).uniform_(-reach, reach, generator=generator))
-    return [nn.Parameter(each) for each in made]
+    return [nn.Parameter(each) for each in (*made, torch.zeros(1, channels, 3, 3))]
 
 
 def _real(rows: Tensor, softest: float = 0.0) -> Tensor:

@@ -5,7 +5,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import cycle, islice
+from itertools import chain, cycle, islice
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +27,11 @@ from layerfield.training.sources import first_seed, scenes
 from layerfield.training.steps_recipe import StepsRecipe
 
 _CPU = torch.device("cpu")
-_NETWORK = 0.125  # rate of a network, of that of constants
+_NETWORK = 0.5  # rate of a network, of that of constants
 
 
 def problems(recipe: StepsRecipe, purpose: str) -> list[Problem]:
-    """Return the problems of a recipe: the scenes of every display, for one purpose.
+    """Return the problems of a recipe: some scenes of every display by turns, for one purpose.
 
     Args:
         recipe: which.
@@ -47,8 +47,9 @@ def problems(recipe: StepsRecipe, purpose: str) -> list[Problem]:
         generator = torch.Generator().manual_seed(seed)
         low, high = (math.log(end) for end in recipe.gammas)
         gammas = torch.empty(recipe.scenes).uniform_(low, high, generator=generator).exp()
-        posed.append(Problem.of(display, (drawn / 255.0) ** gammas[:, None, None, None, None]))
-    return posed
+        light = (drawn / 255.0) ** gammas[:, None, None, None, None]
+        posed.append([Problem.of(display, part) for part in light.split(recipe.together)])
+    return list(chain.from_iterable(zip(*posed, strict=True)))
 
 
 def examples(recipe: StepsRecipe, purpose: str) -> list[Problem] | list[Film]:
@@ -81,8 +82,9 @@ def learn(
         given: to train on, one after the other.
         tick: called with the number of iterations done.
     """
-    few = [each for name, each in model.named_parameters() if not name.startswith("relief")]
-    groups = [{"params": few}, {"params": list(model.relief), "lr": _NETWORK * recipe.rate}]
+    groups: list[dict[str, Any]] = [{"params": [model.full, model.coarse, model.newton]}]
+    if recipe.relief:
+        groups.append({"params": list(model.relief), "lr": _NETWORK * recipe.rate})
     optimiser = torch.optim.Adam(groups, lr=recipe.rate)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, recipe.iterations)
     for done, lesson in enumerate(islice(cycle(given), recipe.iterations)):
@@ -185,7 +187,7 @@ def _model(recipe: StepsRecipe, steps: int, tensors: dict[str, Tensor]) -> Learn
 def _ticker(run: StepsRun, number: int, stage: int) -> Callable[[int], None]:
     """Return what tells how far a training is; more steps on more pixels take longer."""
     recipe = run.recipe
-    pixels = [each.scenes * each.size**2 for each in recipe.stages]
+    pixels = [each.together * each.size**2 for each in recipe.stages]
     work = [
         sum(recipe.rows(count)[:3]) * each * part.iterations
         for count in recipe.steps

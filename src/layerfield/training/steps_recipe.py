@@ -41,6 +41,7 @@ class Stage(Table):
 
     size: Size
     scenes: Count
+    batch: Count | None = None
     iterations: Count
     rate: Positive
 
@@ -57,11 +58,13 @@ class StepsRecipe(Table):
             multiplied they are Newton steps.
         before: number of steps on logarithms before those, where light is multiplied.
         coarse: number of steps on large pixels.
-        relief: channels of the network behind the first of several steps, see `Relief`; 0 for none.
+        relief: channels of the network behind the first of several steps, see `Relief`, which is
+            learned in the last stage; 0 for none.
         darkest: darker light is taken for this before its logarithm.
         frames: of videos whose frames start from the one before; 1 for pictures that do not move.
         displays: to train on.
         scenes: of every display; size: their height and width, pixels.
+        batch: so many of them are learned from at a time; all of a display unless told otherwise.
         stretch: range of their disparities, in units of the depth of the display.
         gammas: the lowest and the highest exponent of their values.
         iterations: of the optimiser, Adam, for every number of steps.
@@ -84,6 +87,7 @@ class StepsRecipe(Table):
     displays: Annotated[tuple[Grid, ...], Field(min_length=1)]
     scenes: Count = 6
     size: Size = 96
+    batch: Count | None = None
     stretch: tuple[Positive, Positive] = (0.6, 2.5)
     gammas: tuple[Positive, Positive] = (1.0, 2.2)
     iterations: Count = 300
@@ -101,7 +105,13 @@ class StepsRecipe(Table):
     def stages(self) -> list["StepsRecipe"]:
         """The recipe of every stage."""
         alone = self.model_copy(update={"then": ()})
-        return [alone, *(alone.model_copy(update=stage.model_dump()) for stage in self.then)]
+        made = [alone, *(alone.model_copy(update=stage.model_dump()) for stage in self.then)]
+        return [*(each.model_copy(update={"relief": 0}) for each in made[:-1]), made[-1]]
+
+    @property
+    def together(self) -> int:
+        """Scenes of a display that are learned from at a time."""
+        return self.batch or self.scenes
 
     @model_validator(mode="after")
     def _each_once(self):
@@ -124,6 +134,13 @@ class StepsRecipe(Table):
             raise ValueError(
                 f"'relief' is {self.relief}, expected 0 for videos and where light is multiplied"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _batches_of_pictures(self):
+        for stage in (self, *self.then):
+            if stage.batch and self.frames > 1:
+                raise ValueError(f"'batch' is {stage.batch}, expected none for videos")
         return self
 
     @model_validator(mode="after")

@@ -1,14 +1,18 @@
 """The network on cells between two steps: compiled or not, for training, in files."""
 
+import math
+from dataclasses import replace
+
 import pytest
 import torch
 
-from layerfield import Display
+from layerfield import DisparitySpec, Display
 from layerfield.fast import Learned, LearnedCard, read_learned, write_learned
+from layerfield.kernels.cells import SIGNS
 from layerfield.kernels.compiled import plain
 from layerfield.solve import Problem, solve
 from layerfield.solvers.learned_admm import LearnedState
-from layerfield.solvers.relief import SIGNS, Relief, signs
+from layerfield.solvers.relief import Relief, signs
 from layerfield.training.learned_steps import LearnedSteps
 from layerfield.training.steps import learn, lessons, problems
 from layerfield.training.steps_recipe import StepsRecipe, read_steps_recipe
@@ -68,11 +72,19 @@ def test_signs_are_those_of_the_pixels_of_a_cell():
     torch.testing.assert_close(known[:2, 1, 1], torch.tensor([0.6, 1.0]) / 1.6)
 
 
-def test_what_runs_is_what_is_trained():
-    problem = Problem.of(Display.load("additive-3"), torch.rand(25, 2, 40, 57))
+@pytest.mark.parametrize("views", [(5, 5), (1, 7)])  # rows that know nothing of each other, too
+def test_what_runs_is_what_is_trained(views):
+    known = {"name": "mine", "link": "additive", "disparity": [1.0, 0.0, -1.0], "views": views}
+    display = Display(DisparitySpec.model_validate(known))
+    problem = Problem.of(display, torch.rand(math.prod(views), 2, 40, 57))
     model = learned(3)
-    made = solve(problem, model.rows().direct, iterations=3)
-    assert torch.allclose(made.layers, model(problem), atol=2e-5)
+    with torch.no_grad():
+        for each in model.relief:
+            each.mul_(3)  # so that what it says counts
+        made = solve(problem, model.rows().direct, iterations=3).layers
+        without = solve(problem, replace(model.rows(), relief=None).direct, iterations=3).layers
+        torch.testing.assert_close(made, model(problem), atol=5e-5, rtol=0)
+        assert (made - without).abs().max() > 0.01
 
 
 def test_steps_one_by_one_are_those_made_at_once():

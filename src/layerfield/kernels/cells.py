@@ -1,9 +1,9 @@
 """Cells of 8x8 pixels: what is known of them, a small network on that, and what is added."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -11,82 +11,110 @@ from layerfield.kernels.blends import planes_of
 from layerfield.kernels.compiled import compiled
 
 CELL = 8  # pixels along the sides
+SIGNS = 6  # what is known of a cell
+BEYOND = 10.0  # what goes beyond the bounds is small
 LEAK = 0.1  # what is left of negative values between convolutions
 
 
-def signs_of_cells(
-    shadow: Float[Tensor, "*batch ty tx"], size: tuple[int, int], bounds: tuple[float, float]
-) -> Float[Tensor, "*batch 4 cy cx"]:
-    """Return the least and the highest s of every cell, and its means above and below the bounds.
+class Network(NamedTuple):
+    """A `Relief` for compiled loops.
 
     Args:
-        shadow: s, of single precision, on a processor.
-        size: height and width of what has cells, in the top left corner.
-        bounds: where what is above and below begins.
+        own: taps for every layer of the display, of all convolutions but the last.
+        common: taps for the mean of all layers.
+        bias: what is added.
+        last: taps of the last one.
     """
-    cells = (-(-size[0] // CELL), -(-size[1] // CELL))
-    result = torch.empty(*shadow.shape[:-2], 4, *cells)
-    planes = planes_of(shadow.detach().contiguous())
-    low, high = (np.float32(each) for each in bounds)
-    given = result.view(-1, 4, *cells).numpy(), planes, *size, low, high
-    _look.in_spans(*given, count=len(planes) * cells[0], numbers=planes.size)
-    return result
+
+    own: tuple[np.ndarray, ...]
+    common: tuple[np.ndarray, ...]
+    bias: tuple[np.ndarray, ...]
+    last: np.ndarray
+
+    @classmethod
+    def of(cls, hidden: Sequence[Sequence[Tensor]], last: Tensor) -> "Network":
+        """Return the network of such tensors, see `Relief`."""
+        parts = (tuple(_array(each) for each in part) for part in zip(*hidden, strict=True))
+        return cls(*parts, _array(last))
 
 
-def answers_of_cells(
-    known: Float[Tensor, "picture layer sign cy cx"],
-    hidden: Sequence[tuple[Tensor, Tensor, Tensor]],
-    last: Float[Tensor, "1 channel 3 3"],
-) -> Float[Tensor, "picture layer cy cx"]:
-    """Return what a network says to all cells, before its mean over layers is taken off.
-
-    Args:
-        known: of single precision, on a processor.
-        hidden: taps for every layer, taps for the mean of all, and what is added; see `Relief`.
-        last: taps for every layer.
-    """
-    result = torch.empty(*known.shape[:2], *known.shape[3:])
-    own, common, bias = (
-        tuple(each.detach().contiguous().numpy() for each in part)
-        for part in zip(*hidden, strict=True)
-    )
-    given = result.numpy(), known.contiguous().numpy(), own, common, bias
-    taps = last.detach().contiguous().numpy()
-    numbers = known.numel() * (1 + sum(len(each) for each in bias))
-    _answer.in_spans(*given, taps, count=len(known), numbers=numbers)
-    return result
+def _array(values: Tensor) -> np.ndarray:
+    return values.detach().contiguous().numpy()
 
 
-def with_cells(
-    shadow: Float[Tensor, "*batch ty tx"],
-    change: Float[Tensor, "*batch cy cx"],
+_NO_TAPS = np.zeros((0, 0, 3, 3), np.float32)
+NO_NETWORK = Network((_NO_TAPS,) * 2, (_NO_TAPS,) * 2, (np.zeros(0, np.float32),) * 2, _NO_TAPS)
+
+
+def relieve_(
+    shadow: Float[Tensor, "*batch layer c ty tx"],
     size: tuple[int, int],
-) -> Float[Tensor, "*batch ty tx"]:
-    """Return pixels and what cells add to them, linear between the middles of cells.
+    bounds: tuple[float, float],
+    network: Network,
+) -> None:
+    """Change s as `Relief` says.
 
     Args:
-        shadow: of single precision, on a processor.
-        change: of every cell.
+        shadow: s, contiguous, of single precision, on a processor.
         size: height and width of what has cells, in the top left corner.
+        bounds: of z.
+        network: of any number of channels.
     """
-    made = torch.empty(shadow.shape)
-    given = (planes_of(each.detach().contiguous()) for each in (made, shadow, change))
-    _add.in_spans(*given, *size, count=made[..., 0].numel(), numbers=made.numel())
-    return made
+    planes, low, high = planes_of(shadow), *(np.float32(each) for each in bounds)
+    number, channels = shadow.shape[-4:-2]
+    pictures, cells = len(planes) // number, tuple(-(-each // CELL) for each in size)
+    known = np.empty((pictures, number, SIGNS, *cells), np.float32)
+    change = np.empty((pictures, number, *cells), np.float32)
+    seen = known, planes, channels, *size, low, high
+    _look.in_spans(*seen, count=len(planes) * cells[0], numbers=planes.size)
+    work = known.size * sum(len(each) for each in network.bias)
+    _answer.in_spans(change, known, *network, high - low, count=pictures, numbers=work)
+    given = planes, change, channels, *size
+    _add.in_spans(*given, count=len(planes) * size[0], numbers=planes.size)
 
 
 @compiled
-def _look(made, planes, height, width, low, high, begin, end):
+def relieve_picture(planes, picture, number, channels, size, bounds, network):
+    """Do the same to the layers of one picture of one channel, on one thread."""
+    height, width = size
+    rows, columns = -(-height // CELL), -(-width // CELL)
+    known = np.empty((1, number, SIGNS, rows, columns), np.float32)
+    change = np.empty((1, number, rows, columns), np.float32)
+    item, channel = divmod(picture, channels)
+    low, high = bounds
+    for k in range(number):
+        plane = (item * number + k) * channels + channel
+        _look_at_rows(known[0, k], planes[plane], height, width, low, high, 0, rows)
+    own, common, bias, last = network
+    _answer(change, known, own, common, bias, last, high - low, 0, 1)
+    for k in range(number):
+        plane = (item * number + k) * channels + channel
+        _add_to_rows(planes[plane], change[0, k], height, width, 0, height)
+
+
+@compiled
+def _look(made, planes, channels, height, width, low, high, begin, end):
     """Rows of cells of all planes, one after the other, from and to."""
-    rows, columns = made.shape[2:]
-    wide, zero = columns * CELL, np.float32(0)
-    least, most = np.empty(wide, np.float32), np.empty(wide, np.float32)
-    over, under = np.empty(wide, np.float32), np.empty(wide, np.float32)
+    number, rows = made.shape[1], made.shape[3]
     for place in range(begin, end):
         plane, row = divmod(place, rows)
+        item, rest = divmod(plane, number * channels)
+        k, channel = divmod(rest, channels)
+        known = made[item * channels + channel, k]
+        _look_at_rows(known, planes[plane], height, width, low, high, row, row + 1)
+
+
+@compiled
+def _look_at_rows(known, plane, height, width, low, high, begin, end):
+    """Rows of cells from and to."""
+    columns, one, zero = known.shape[2], np.float32(1), np.float32(0)
+    wide, scale, beyond = columns * CELL, one / (high - low), np.float32(BEYOND)
+    least, most = np.empty(wide, np.float32), np.empty(wide, np.float32)
+    over, under = np.empty(wide, np.float32), np.empty(wide, np.float32)
+    for row in range(begin, end):
         first, last = row * CELL, min(row * CELL + CELL, height)
         for y in range(first, last):
-            line = planes[plane, y]
+            line = plane[y]
             if y == first:
                 for x in range(width):
                     least[x] = most[x] = line[x]
@@ -100,15 +128,20 @@ def _look(made, planes, height, width, low, high, begin, end):
                 under[x] += max(low - value, zero)
         for column in range(columns):
             left, right = column * CELL, min(column * CELL + CELL, width)
-            pixels = np.float32((last - first) * (right - left))
-            made[plane, 0, row, column] = least[left:right].min()
-            made[plane, 1, row, column] = most[left:right].max()
-            made[plane, 2, row, column] = over[left:right].sum() / pixels
-            made[plane, 3, row, column] = under[left:right].sum() / pixels
+            share = beyond * scale / np.float32((last - first) * (right - left))
+            lowest = scale * (least[left:right].min() - low)
+            highest = scale * (most[left:right].max() - low)
+            falls, rises = min(max(lowest, zero), one), one - min(max(highest, zero), one)
+            known[0, row, column] = falls
+            known[1, row, column] = rises
+            known[2, row, column] = share * over[left:right].sum()
+            known[3, row, column] = -share * under[left:right].sum()
+            known[4, row, column] = beyond * (lowest - falls)
+            known[5, row, column] = beyond * (highest - (one - rises))
 
 
 @compiled
-def _answer(made, known, own, common, bias, last, begin, end):
+def _answer(made, known, own, common, bias, last, scale, begin, end):
     """All layers of pictures, from and to."""
     number, signs, height, width = known.shape[1:]
     for picture in range(begin, end):
@@ -128,6 +161,17 @@ def _answer(made, known, own, common, bias, last, begin, end):
             _frame(seen[k])
             made[picture, k] = 0
             _convolve(made[picture, k : k + 1], seen[k], last)
+        _balance(made[picture], scale)
+
+
+@compiled
+def _balance(change, scale):
+    """Take the mean of all layers off, and scale what is left."""
+    mean = np.zeros(change.shape[1:], np.float32)
+    for k in range(len(change)):
+        mean += change[k]
+    for k in range(len(change)):
+        change[k] = scale * (change[k] - mean / np.float32(len(change)))
 
 
 @compiled
@@ -184,29 +228,39 @@ def _convolve(made, seen, taps):
 
 
 @compiled
-def _add(made, planes, cells, height, width, begin, end):
+def _add(planes, change, channels, height, width, begin, end):
     """Rows of pixels of all planes, one after the other, from and to."""
-    rows, columns = cells.shape[1:]
-    high = planes.shape[1]
+    number, place = change.shape[1], begin
+    while place < end:
+        plane, y = divmod(place, height)
+        count = min(height - y, end - place)
+        item, rest = divmod(plane, number * channels)
+        k, channel = divmod(rest, channels)
+        cells = change[item * channels + channel, k]
+        _add_to_rows(planes[plane], cells, height, width, y, y + count)
+        place += count
+
+
+@compiled
+def _add_to_rows(plane, cells, height, width, begin, end):
+    """Rows of pixels from and to."""
+    rows, columns = cells.shape
     half, one = np.float32(0.5), np.float32(1) / np.float32(CELL)
     # Half a cell more at each side: what lies beyond the last middles is as it is there.
     between = np.empty(columns + 2, np.float32)
     line = np.empty((columns + 1) * CELL, np.float32)
-    for place in range(begin, end):
-        plane, y = divmod(place, high)
-        made[plane, y] = planes[plane, y]
-        if y >= height:
-            continue
+    for y in range(begin, end):
         at = max((np.float32(y) + half) * one - half, np.float32(0))
         upper = int(at)
         lower, below = min(upper + 1, rows - 1), at - np.float32(upper)
         for x in range(columns):
-            first, second = cells[plane, upper, x], cells[plane, lower, x]
+            first, second = cells[upper, x], cells[lower, x]
             between[x + 1] = first + below * (second - first)
         between[0], between[columns + 1] = between[1], between[columns]
         for column in range(columns + 1):
             first, step = between[column], between[column + 1] - between[column]
             for x in range(CELL):
                 line[column * CELL + x] = first + (np.float32(x) + half) * one * step
+        pixels = plane[y]
         for x in range(width):
-            made[plane, y, x] += line[x + CELL // 2]
+            pixels[x] += line[x + CELL // 2]

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.kernels.blends import Sum, corners_of
+from layerfield.kernels.cells import NO_NETWORK, Network, relieve_picture
 from layerfield.kernels.compiled import compiled
 from layerfield.kernels.planes import back, forth
 from layerfield.kernels.small_steps import (
@@ -48,7 +49,7 @@ from layerfield.kernels.threads import SPANS, parallel_address
 from layerfield.kernels.three_passes import LARGE
 from layerfield.kernels.transforms import Call, ForthAndBack, forth_and_back, transform_one
 
-_STRIPS, _FORTH, _COARSE, _SOLVE, _BACK = range(5)  # what there is to do
+_STRIPS, _FORTH, _COARSE, _SOLVE, _BACK, _RELIEVE = range(6)  # what there is to do
 _ONE = np.float32(1)
 _AT_ONCE = 3  # planes that a step reads or writes: s, s of one step ago, and what it makes
 
@@ -61,12 +62,14 @@ class BalancedStart(NamedTuple):
         rest: the same.
         coarse: steps on larger pixels, which find what takes the place of low frequencies.
         window: shares of those, `[fy, fx]`.
+        network: that changes s behind the first of several steps, or none.
     """
 
     shares: Float[Tensor, "layer 1 ly lx"]
     rest: Float[Tensor, "*batch 1 c 1 1"]
     coarse: Coarse
     window: Float[Tensor, "fy fx"]
+    network: Network | None
 
 
 class _Known(NamedTuple):
@@ -104,6 +107,8 @@ class _First(NamedTuple):
         coarse: steps on larger pixels.
         other: low frequencies, `[item, layer, channel, fy, 2 fx]`.
         window: shares of those.
+        network: what changes s behind it, or `NO_NETWORK`.
+        size: height and width of the layers.
     """
 
     is_here: bool
@@ -111,6 +116,8 @@ class _First(NamedTuple):
     coarse: SmallSteps
     other: np.ndarray
     window: np.ndarray
+    network: Network
+    size: tuple[int, int]
 
 
 def steps_in_one_call(
@@ -168,7 +175,8 @@ def steps_in_one_call(
     ago = seen if before is None else before.contiguous().view(by).numpy()
     room, parts = room_for_strips(own[0].shape, sides), SPANS * torch.get_num_threads()
     solved = height // 2 + 1, (len(begun.window) + 1) // 2
-    tasks, needs = _tasks(own[0].shape[:3], *solved, count, parts)
+    relieves = first is not None and first.network is not None and count > 1
+    tasks, needs = _tasks(own[0].shape[:3], *solved, count, parts, relieves)
     steps = own, seen, ago, room, rows, known, begun, tasks
     _make_steps.in_spans(*steps, count=len(tasks), numbers=math.prod(shape), needs=needs)
     last = made[(count - 2) % len(made)] if count > 1 else shadow
@@ -194,6 +202,8 @@ def _first(
         coarse=small_steps(first.coarse, transforms),
         other=np.zeros((math.prod(batch), number, channels, height, 2 * half), np.float32),
         window=first.window.numpy(),
+        network=first.network or NO_NETWORK,
+        size=(data.shape[-2], data.shape[-1]),
     )
 
 
@@ -202,12 +212,12 @@ def _no_first(known: _Known) -> _First:
     shares, rows = np.zeros((0, 0, 0), np.float32), np.zeros((0, 0), np.float32)
     calls = known.forth, known.back
     steps = SmallSteps(known.system, rows, np.float32(1), NO_STRIPS, *calls)
-    return _First(False, Even(shares, rows), steps, known.other, known.window)
+    return _First(False, Even(shares, rows), steps, known.other, known.window, NO_NETWORK, (0, 0))
 
 
 @lru_cache(maxsize=16)
 def _tasks(
-    shape: tuple[int, int, int], rows: int, low: int, count: int, parts: int
+    shape: tuple[int, int, int], rows: int, low: int, count: int, parts: int, relieves: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return tasks, `[n, (what, step, from, to)]`, and how many each of them needs done before it.
 
@@ -221,6 +231,7 @@ def _tasks(
         low: so many of them, from the first on, wait in the first step for those on larger pixels.
         count: of steps.
         parts: of those rows.
+        relieves: whether a network changes s behind the first step.
     """
     items, number, channels = shape
     places = np.arange(items * number * channels).reshape(shape)
@@ -258,6 +269,9 @@ def _tasks(
         for colour, planes in enumerate(colours):
             for plane in planes:
                 shown[colour] = add(_BACK, step, plane, plane + 1, solved)
+        if relieves and step == 0:
+            for colour, ready in enumerate(shown):
+                shown[colour] = add(_RELIEVE, step, colour, colour + 1, ready)
     return np.array(tasks, np.int64), np.array(needs, np.int64)
 
 
@@ -283,6 +297,11 @@ def _make_steps(own, shadow, before, room, constants, known, start, tasks, begin
             _solve_coarsely(made, start, system.turns, first, last)
         elif what == _SOLVE:
             _solve(made, known, start, row, begins, first, last)
+        elif what == _RELIEVE:
+            number, channels = made.shape[1:3]
+            bounds = system.low, system.high
+            for colour in range(first, last):
+                relieve_picture(planes, colour, number, channels, start.size, bounds, start.network)
         elif begins:
             for plane in range(first, last):
                 transform_one(planes[plane], known.back)

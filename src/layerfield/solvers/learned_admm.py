@@ -100,7 +100,7 @@ class LearnedAdmm:
         if count == 0:
             return state
         if isinstance(state, Unbegun):
-            rows = self._rows(problem, 0, count if self.relief is None else 1)
+            rows = self._rows(problem, 0, count)
             made = LearnedState(*self._from_start(problem, rows), len(rows))
             return self.steps(problem, made, count - len(rows))
         if state.after is not None or state.count >= len(self.full):
@@ -109,8 +109,8 @@ class LearnedAdmm:
             after = self.after.steps(problem, known, count)
             return LearnedState(after.shadow, None, state.count, after)
         rows, shadow = self._rows(problem, state.count, count), state.shadow
-        if self.relief is not None and state.count == 1:
-            shadow = self.relief.relieved(shadow, problem.gram.layer_size, problem.bounds)
+        if state.count == 1:
+            shadow = self._relieved(problem, shadow)
         made = after_steps(problem, shadow, state.before, rows, BALANCE)
         return self.steps(problem, LearnedState(*made, state.count + len(rows)), count - len(rows))
 
@@ -133,13 +133,22 @@ class LearnedAdmm:
         grid = coarse_grid(spectral) if self.coarse else None
         if grid is not None and sides is not None and spectral.serves(data):
             coarse = self._coarse(grid, problem.bounds)
-            start = BalancedStart(*problem.even_shares, coarse, grid.window)
+            network = None if self.relief is None else self.relief.network
+            start = BalancedStart(*problem.even_shares, coarse, grid.window, network)
             system = spectral.system(BALANCE, problem.bounds)
             made = steps_in_one_call(start, None, data, system, sides, rows)
             if made is not None:
                 return made
         first = self._first(problem, rows[0], grid)
+        if len(rows) > 1:
+            first = self._relieved(problem, first)
         return after_steps(problem, first, None, rows[1:], BALANCE)
+
+    def _relieved(self, problem: Problem, shadow: Tensor) -> Tensor:
+        """Return s after the first of several steps."""
+        if self.relief is None:
+            return shadow
+        return self.relief.relieved(shadow, problem.gram.layer_size, problem.bounds)
 
     def _first(self, problem: Problem, constants: Constants, grid: Spectral | None) -> Tensor:
         """Return s after the first step."""

@@ -18,11 +18,8 @@ from torch.nn.functional import (
     relu,
 )
 
-from layerfield.kernels.cells import CELL, LEAK, answers_of_cells, signs_of_cells, with_cells
+from layerfield.kernels.cells import BEYOND, CELL, LEAK, SIGNS, Network, relieve_
 from layerfield.kernels.compiled import serve
-
-SIGNS = 6  # what is known of a cell
-_BEYOND = 10.0  # what goes beyond the bounds is small
 
 
 class Convolution(NamedTuple):
@@ -68,6 +65,11 @@ class Relief:
         """All of them, one convolution after the other."""
         return [*chain.from_iterable(self.hidden), self.last]
 
+    @property
+    def network(self) -> Network:
+        """The same for compiled loops."""
+        return Network.of(self.hidden, self.last)
+
     @classmethod
     def of(cls, tensors: Sequence[Tensor]) -> "Relief":
         """Return the network of such tensors."""
@@ -89,9 +91,11 @@ class Relief:
             size: height and width of the layers.
             bounds: of z.
         """
+        if serve(shadow, *self.tensors):
+            made = shadow.clone(memory_format=torch.contiguous_format)
+            relieve_(made, size, bounds, self.network)
+            return made
         change = (bounds[1] - bounds[0]) * self.changes(signs(shadow, size, bounds))
-        if serve(shadow, change):
-            return with_cells(shadow, change, size)
         planes = change.reshape(-1, 1, *change.shape[-2:])
         wide = interpolate(planes, scale_factor=CELL, mode="bilinear")[..., : size[0], : size[1]]
         beside = (0, shadow.shape[-1] - size[1], 0, shadow.shape[-2] - size[0])
@@ -107,20 +111,13 @@ class Relief:
         """
         *batch, number, channels, _, height, width = known.shape
         seen = known.transpose(-5, -4).reshape(-1, number, SIGNS, height, width)
-        made = self._answers(seen).reshape(*batch, channels, number, height, width)
-        return (made - made.mean(dim=-3, keepdim=True)).transpose(-4, -3)
-
-    def _answers(
-        self, seen: Float[Tensor, "picture layer sign cy cx"]
-    ) -> Float[Tensor, "picture layer cy cx"]:
-        if serve(seen, *self.tensors):
-            return answers_of_cells(seen, self.hidden, self.last)
         for n, part in enumerate(self.hidden):
             own = _of_layers(seen, part.own)
             common = _convolved(seen.mean(dim=1), part.common)
             made = own + (common + part.bias[:, None, None])[:, None]
             seen = leaky_relu(made, LEAK) + (seen if n else 0)
-        return _of_layers(seen, self.last)[:, :, 0]
+        answers = _of_layers(seen, self.last).reshape(*batch, channels, number, height, width)
+        return (answers - answers.mean(dim=-3, keepdim=True)).transpose(-4, -3)
 
 
 def signs(
@@ -137,24 +134,16 @@ def signs(
         bounds: of z.
     """
     low, high = bounds
-    if serve(shadow):
-        found = signs_of_cells(shadow, size, bounds)
-    else:
-        planes = shadow[..., : size[0], : size[1]].reshape(-1, 1, *size)
-        least, most = (sign * max_pool2d(sign * planes, CELL, ceil_mode=True) for sign in (-1, 1))
-        over, under = (
-            avg_pool2d(relu(each), CELL, ceil_mode=True, count_include_pad=False)
-            for each in (planes - high, low - planes)
-        )
-        found = torch.cat([least, most, over, under], dim=1)
-        found = found.reshape(*shadow.shape[:-2], *found.shape[1:])
-    least, most, over, under = (
-        (each - shift) / (high - low)
-        for each, shift in zip(found.unbind(dim=-3), (low, low, 0.0, 0.0), strict=True)
+    planes = (shadow[..., : size[0], : size[1]].reshape(-1, 1, *size) - low) / (high - low)
+    least, most = (sign * max_pool2d(sign * planes, CELL, ceil_mode=True) for sign in (-1, 1))
+    over, under = (
+        avg_pool2d(relu(each), CELL, ceil_mode=True, count_include_pad=False)
+        for each in (planes - 1, -planes)
     )
     falls, rises = least.clamp(0, 1), 1 - most.clamp(0, 1)
     beyond = over, -under, least - falls, most - (1 - rises)
-    return torch.stack([falls, rises, *(_BEYOND * each for each in beyond)], dim=-3)
+    found = torch.cat([falls, rises, *(BEYOND * each for each in beyond)], dim=1)
+    return found.reshape(*shadow.shape[:-2], *found.shape[1:])
 
 
 def _of_layers(

@@ -79,12 +79,10 @@ def test_what_runs_is_what_is_trained(views):
     problem = Problem.of(display, torch.rand(math.prod(views), 2, 40, 57))
     model = learned(3)
     with torch.no_grad():
-        for each in model.relief:
-            each.mul_(3)  # so that what it says counts
         made = solve(problem, model.rows().direct, iterations=3).layers
         without = solve(problem, replace(model.rows(), relief=None).direct, iterations=3).layers
-        torch.testing.assert_close(made, model(problem), atol=5e-5, rtol=0)
-        assert (made - without).abs().max() > 0.01
+        torch.testing.assert_close(made, model(problem), atol=2e-5, rtol=0)
+        assert (made - without).abs().max() > 0.01  # what it says counts
 
 
 def test_steps_one_by_one_are_those_made_at_once():

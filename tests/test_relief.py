@@ -42,18 +42,16 @@ def learned(steps: int) -> LearnedSteps:
 def test_compiled_loops_do_what_the_formula_says(size):
     torus = size[0] + 3, size[1] + 5
     shadow = 0.5 + 0.5 * torch.randn(2, 1, 3, 2, *torus)
-    known = shadow.clone()
-    found = network().relieved(shadow, size, BOUNDS)
-    assert torch.equal(shadow, known)
+    found = network().relieve_(shadow.clone(), size, BOUNDS)
     with plain():
         torch.testing.assert_close(
-            found, network().relieved(shadow, size, BOUNDS), atol=2e-5, rtol=0
+            found, network().relieve_(shadow, size, BOUNDS), atol=2e-5, rtol=0
         )
 
 
 def test_the_layers_together_show_the_same_light():
     shadow = 0.5 + 0.5 * torch.randn(1, 3, 3, 50, 60)
-    change = network().relieved(shadow, (44, 51), BOUNDS) - shadow
+    change = network().relieve_(shadow.clone(), (44, 51), BOUNDS) - shadow
     assert change[..., :44, :51].abs().max() > 0.01
     assert change.sum(dim=1).abs().max() < 1e-5
     assert not change[..., 44:, :].any()
@@ -91,6 +89,10 @@ def test_steps_one_by_one_are_those_made_at_once():
     state = solver.init(problem, None)
     for _ in range(3):
         state = solver.step(problem, state)
+    first = solver.steps(problem, solver.init(problem, None), 1)
+    known = solver.layers(problem, first).clone()
+    solver.steps(problem, first, 2)
+    assert torch.equal(solver.layers(problem, first), known)  # a state stays as it is
     at_once = solver.steps(problem, solver.init(problem, None), 3)
     assert isinstance(state, LearnedState)
     assert isinstance(at_once, LearnedState)

@@ -13,6 +13,7 @@ from layerfield.kernels.compiled import compiled
 CELL = 8  # pixels along the sides
 SIGNS = 6  # what is known of a cell
 BEYOND = 10.0  # what goes beyond the bounds is small
+_ROWS = 16  # of cells that a convolution goes over together
 LEAK = 0.1  # what is left of negative values between convolutions
 
 
@@ -126,16 +127,23 @@ def _look_at_rows(known, plane, height, width, low, high, begin, end):
                 most[x] = max(most[x], value)
                 over[x] += max(value - high, zero)
                 under[x] += max(low - value, zero)
+        for x in range(width, wide):  # a cell that is cut off is as wide as others
+            least[x], most[x] = least[width - 1], most[width - 1]
+            over[x] = under[x] = 0
         for column in range(columns):
-            left, right = column * CELL, min(column * CELL + CELL, width)
-            share = beyond * scale / np.float32((last - first) * (right - left))
-            lowest = scale * (least[left:right].min() - low)
-            highest = scale * (most[left:right].max() - low)
+            left = column * CELL
+            lowest, highest, above, below = least[left], most[left], over[left], under[left]
+            for x in range(left + 1, left + CELL):
+                lowest, highest = min(lowest, least[x]), max(highest, most[x])
+                above += over[x]
+                below += under[x]
+            share = beyond * scale / np.float32((last - first) * min(CELL, width - left))
+            lowest, highest = scale * (lowest - low), scale * (highest - low)
             falls, rises = min(max(lowest, zero), one), one - min(max(highest, zero), one)
             known[0, row, column] = falls
             known[1, row, column] = rises
-            known[2, row, column] = share * over[left:right].sum()
-            known[3, row, column] = -share * under[left:right].sum()
+            known[2, row, column] = share * above
+            known[3, row, column] = -share * below
             known[4, row, column] = beyond * (lowest - falls)
             known[5, row, column] = beyond * (highest - (one - rises))
 
@@ -157,21 +165,25 @@ def _answer(made, known, own, common, bias, last, scale, begin, end):
                 _convolve(found, seen[k], own[n])
                 _go_on(after[k], found, seen[k], n > 0)
             seen = after
+        answers = np.zeros((number, 1, height, width + 2), np.float32)
         for k in range(number):
             _frame(seen[k])
-            made[picture, k] = 0
-            _convolve(made[picture, k : k + 1], seen[k], last)
-        _balance(made[picture], scale)
+            _convolve(answers[k], seen[k], last)
+        _balance(made[picture], answers[:, 0], scale)
 
 
 @compiled
-def _balance(change, scale):
+def _balance(made, answers, scale):
     """Take the mean of all layers off, and scale what is left."""
-    mean = np.zeros(change.shape[1:], np.float32)
-    for k in range(len(change)):
-        mean += change[k]
-    for k in range(len(change)):
-        change[k] = scale * (change[k] - mean / np.float32(len(change)))
+    number, height, width = made.shape
+    for y in range(height):
+        for x in range(width):
+            mean = np.float32(0)
+            for k in range(number):
+                mean += answers[k, y, x]
+            mean /= np.float32(number)
+            for k in range(number):
+                made[k, y, x] = scale * (answers[k, y, x] - mean)
 
 
 @compiled
@@ -183,7 +195,7 @@ def _of_all(seen, taps, bias):
         for sign in range(signs):
             for y in range(height):
                 mean[sign, y] += seen[k, sign, y] / np.float32(number)
-    found = np.empty((len(bias), height - 2, width - 2), np.float32)
+    found = np.empty((len(bias), height - 2, width), np.float32)
     for channel in range(len(bias)):
         found[channel] = bias[channel]
     _convolve(found, mean, taps)
@@ -197,7 +209,7 @@ def _go_on(after, found, seen, adds):
     for channel in range(channels):
         for y in range(height):
             line, old = found[channel, y], seen[channel if adds else 0, y + 1]
-            for x in range(width):
+            for x in range(width - 2):
                 value = max(line[x], np.float32(LEAK) * line[x])
                 after[channel, y + 1, x + 1] = value + old[x + 1] if adds else value
 
@@ -214,17 +226,29 @@ def _frame(planes):
 
 @compiled
 def _convolve(made, seen, taps):
-    """Add what 3x3 taps find in planes that have a frame."""
-    height, width = made.shape[1:]
-    for y in range(height):
+    """Add what 3x3 taps find in planes that have a frame.
+
+    What is made is as wide, so that rows follow each other in both alike: the last two values of
+    each mean nothing.
+    """
+    _, height, width = made.shape
+    for y in range(0, height, _ROWS):
+        count = min(_ROWS, height - y) * width - 2
         for channel in range(len(made)):
-            line = made[channel, y]
+            line = made[channel].reshape(-1)[y * width :]
             for sign in range(len(seen)):
-                for j in range(3):
-                    row, three = seen[sign, y + j], taps[channel, sign, j]
-                    left, middle, right = three[0], three[1], three[2]
-                    for x in range(width):
-                        line[x] += left * row[x] + middle * row[x + 1] + right * row[x + 2]
+                plane, near = seen[sign].reshape(-1), taps[channel, sign]
+                upper, middle = plane[y * width :], plane[(y + 1) * width :]
+                lower = plane[(y + 2) * width :]
+                a, b, c = near[0, 0], near[0, 1], near[0, 2]
+                d, e, f = near[1, 0], near[1, 1], near[1, 2]
+                g, h, i = near[2, 0], near[2, 1], near[2, 2]
+                for x in range(count):
+                    line[x] += (
+                        (a * upper[x] + b * upper[x + 1] + c * upper[x + 2])
+                        + (d * middle[x] + e * middle[x + 1] + f * middle[x + 2])
+                        + (g * lower[x] + h * lower[x + 1] + i * lower[x + 2])
+                    )
 
 
 @compiled

@@ -110,7 +110,7 @@ class LearnedAdmm:
             return LearnedState(after.shadow, None, state.count, after)
         rows, shadow = self._rows(problem, state.count, count), state.shadow
         if state.count == 1:
-            shadow = self._relieved(problem, shadow)
+            shadow = self._relieve_(problem, shadow.clone())
         made = after_steps(problem, shadow, state.before, rows, BALANCE)
         return self.steps(problem, LearnedState(*made, state.count + len(rows)), count - len(rows))
 
@@ -141,14 +141,14 @@ class LearnedAdmm:
                 return made
         first = self._first(problem, rows[0], grid)
         if len(rows) > 1:
-            first = self._relieved(problem, first)
+            first = self._relieve_(problem, first)
         return after_steps(problem, first, None, rows[1:], BALANCE)
 
-    def _relieved(self, problem: Problem, shadow: Tensor) -> Tensor:
-        """Return s after the first of several steps."""
+    def _relieve_(self, problem: Problem, shadow: Tensor) -> Tensor:
+        """Return what the network makes of s between the first step and the second, in place."""
         if self.relief is None:
             return shadow
-        return self.relief.relieved(shadow, problem.gram.layer_size, problem.bounds)
+        return self.relief.relieve_(shadow, problem.gram.layer_size, problem.bounds)
 
     def _first(self, problem: Problem, constants: Constants, grid: Spectral | None) -> Tensor:
         """Return s after the first step."""

@@ -78,23 +78,22 @@ class Relief:
         starts = range(0, len(hidden), count)
         return cls([Convolution(*hidden[n : n + count]) for n in starts], last)
 
-    def relieved(
+    def relieve_(
         self,
         shadow: Float[Tensor, "*batch layer c ty tx"],
         size: tuple[int, int],
         bounds: tuple[float, float],
     ) -> Float[Tensor, "*batch layer c ty tx"]:
-        """Return s with that change.
+        """Return s with that change; compiled loops make it in place.
 
         Args:
-            shadow: s, on a torus; the layers are in its top left corner.
+            shadow: s, contiguous, on a torus; the layers are in its top left corner.
             size: height and width of the layers.
             bounds: of z.
         """
         if serve(shadow, *self.tensors):
-            made = shadow.clone(memory_format=torch.contiguous_format)
-            relieve_(made, size, bounds, self.network)
-            return made
+            relieve_(shadow, size, bounds, self.network)
+            return shadow
         change = (bounds[1] - bounds[0]) * self.changes(signs(shadow, size, bounds))
         planes = change.reshape(-1, 1, *change.shape[-2:])
         wide = interpolate(planes, scale_factor=CELL, mode="bilinear")[..., : size[0], : size[1]]

@@ -91,7 +91,7 @@ class LearnedSteps(nn.Module):
         data = _completed(problem, problem.even_start(gram.torus))
         shadow = _first(gram.spectral, data, full[0], coarse, bounds)
         if len(self.relief):
-            shadow = Relief.of(list(self.relief)).relieved(shadow, gram.layer_size, bounds)
+            shadow = Relief.of(list(self.relief)).relieve_(shadow, gram.layer_size, bounds)
         return gram.from_torus(_steps(problem, shadow, full[1:])).clamp(*bounds)
 
     def behind(

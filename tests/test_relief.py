@@ -58,16 +58,18 @@ def test_the_layers_together_show_the_same_light():
     assert not change[..., 51:].any()
 
 
-def test_signs_are_those_of_the_pixels_of_a_cell():
+def test_signs_are_those_of_the_pixels_of_four_windows():
     shadow = torch.full((1, 1, 1, 10, 12), 0.5)
-    shadow[..., 1, 2], shadow[..., 3, 4] = -0.06, 1.54
+    shadow[..., 1, 1], shadow[..., 3, 4] = -0.06, 1.54
+    shadow[..., 9, 11] = 0.3  # beyond the edge it is as it is there
     known = signs(shadow, (10, 12), (-0.1, 1.5))[0, 0, 0]
+    # The least is in the window whose middle is further up and to the left, and in no other one.
     expected = torch.tensor([0.04, -0.04, 0.04 / 64, 0.0, 0.0, 0.04]) / 1.6
-    expected[0], expected[1] = 0.04 / 1.6, 0.0
+    expected[0], expected[1] = (0.04 + 3 * 0.6) / 4 / 1.6, 0.0
     expected[2:] *= 10
     torch.testing.assert_close(known[:, 0, 0], expected, atol=1e-6, rtol=0)
     assert known.shape == (SIGNS, 2, 2)
-    torch.testing.assert_close(known[:2, 1, 1], torch.tensor([0.6, 1.0]) / 1.6)
+    torch.testing.assert_close(known[:2, 1, 1], torch.tensor([0.4, 1.0]) / 1.6)
 
 
 @pytest.mark.parametrize("views", [(5, 5), (1, 7)])  # rows that know nothing of each other, too

@@ -11,8 +11,10 @@ from layerfield.kernels.blends import planes_of
 from layerfield.kernels.compiled import compiled
 
 CELL = 8  # pixels along the sides
+APART = 2  # so far up or down, and left or right, lie the windows of a cell
 SIGNS = 6  # what is known of a cell
 BEYOND = 10.0  # what goes beyond the bounds is small
+_SIDE = 2 * APART  # of what windows have in common
 _ROWS = 16  # of cells that a convolution goes over together
 LEAK = 0.1  # what is left of negative values between convolutions
 
@@ -96,56 +98,95 @@ def relieve_picture(planes, picture, number, channels, size, bounds, network):
 @compiled
 def _look(made, planes, channels, height, width, low, high, begin, end):
     """Rows of cells of all planes, one after the other, from and to."""
-    number, rows = made.shape[1], made.shape[3]
-    for place in range(begin, end):
+    number, rows, place = made.shape[1], made.shape[3], begin
+    while place < end:
         plane, row = divmod(place, rows)
+        count = min(rows - row, end - place)
         item, rest = divmod(plane, number * channels)
         k, channel = divmod(rest, channels)
         known = made[item * channels + channel, k]
-        _look_at_rows(known, planes[plane], height, width, low, high, row, row + 1)
+        _look_at_rows(known, planes[plane], height, width, low, high, row, row + count)
+        place += count
 
 
 @compiled
 def _look_at_rows(known, plane, height, width, low, high, begin, end):
-    """Rows of cells from and to."""
-    columns, one, zero = known.shape[2], np.float32(1), np.float32(0)
-    wide, scale, beyond = columns * CELL, one / (high - low), np.float32(BEYOND)
-    least, most = np.empty(wide, np.float32), np.empty(wide, np.float32)
-    over, under = np.empty(wide, np.float32), np.empty(wide, np.float32)
+    """Rows of cells from and to: each from three bands of pixels, the first that of the row before.
+
+    Two bands and two groups of pixels are a window, and four windows a cell.
+    """
+    columns, one = known.shape[2], np.float32(1)
+    groups, scale = 2 * columns + 1, one / (high - low)
+    bands = np.empty((3, 4, groups), np.float32)
+    room = np.empty((4, groups * _SIDE), np.float32)
+    inside, beyond = np.empty(groups, np.float32), np.empty(groups, np.float32)
+    quarter, share = np.float32(0.25), np.float32(BEYOND / (4 * CELL**2)) * scale
     for row in range(begin, end):
-        first, last = row * CELL, min(row * CELL + CELL, height)
-        for y in range(first, last):
-            line = plane[y]
-            if y == first:
-                for x in range(width):
-                    least[x] = most[x] = line[x]
-                over[:] = 0
-                under[:] = 0
-            for x in range(width):
-                value = line[x]
-                least[x] = min(least[x], value)
-                most[x] = max(most[x], value)
-                over[x] += max(value - high, zero)
-                under[x] += max(low - value, zero)
-        for x in range(width, wide):  # a cell that is cut off is as wide as others
-            least[x], most[x] = least[width - 1], most[width - 1]
-            over[x] = under[x] = 0
-        for column in range(columns):
-            left = column * CELL
-            lowest, highest, above, below = least[left], most[left], over[left], under[left]
-            for x in range(left + 1, left + CELL):
-                lowest, highest = min(lowest, least[x]), max(highest, most[x])
-                above += over[x]
-                below += under[x]
-            share = beyond * scale / np.float32((last - first) * min(CELL, width - left))
-            lowest, highest = scale * (lowest - low), scale * (highest - low)
-            falls, rises = min(max(lowest, zero), one), one - min(max(highest, zero), one)
-            known[0, row, column] = falls
-            known[1, row, column] = rises
-            known[2, row, column] = share * above
-            known[3, row, column] = -share * below
-            known[4, row, column] = beyond * (lowest - falls)
-            known[5, row, column] = beyond * (highest - (one - rises))
+        if row > begin:
+            bands[0] = bands[2]
+        for n in range(1 if row > begin else 0, 3):
+            top = row * CELL - APART + n * _SIDE
+            _look_at_band(bands[n], room, plane, top, height, width, low, high)
+        for sign in range(2):  # how far it may fall; and, of what is left up to 1, rise
+            shift, more = (one + scale * low, -quarter) if sign else (-scale * low, quarter)
+            inside[:], beyond[:] = 0, 0
+            for n in range(2):
+                _add_windows(inside, beyond, bands[n, sign], bands[n + 1, sign], scale, shift)
+            for column in range(columns):
+                x = 2 * column
+                known[sign, row, column] = quarter * (inside[x] + inside[x + 1])
+                far = np.float32(BEYOND) * (beyond[x] + beyond[x + 1])
+                known[4 + sign, row, column] = more * far
+        for sign in range(2, 4):
+            weight = -share if sign == 3 else share
+            first, second, third = bands[0, sign], bands[1, sign], bands[2, sign]
+            for x in range(groups):
+                inside[x] = weight * (first[x] + np.float32(2) * second[x] + third[x])
+            for column in range(columns):
+                x = 2 * column
+                both = inside[x] + np.float32(2) * inside[x + 1] + inside[x + 2]
+                known[sign, row, column] = both
+
+
+@compiled
+def _add_windows(inside, beyond, upper, lower, scale, shift):
+    """Add what is least in windows, scaled and shifted: what of it is from 0 to 1, and the rest."""
+    zero, one = np.float32(0), np.float32(1)
+    for x in range(len(upper) - 1):
+        least = scale * min(upper[x], upper[x + 1], lower[x], lower[x + 1]) + shift
+        kept = min(max(least, zero), one)
+        inside[x] += kept
+        beyond[x] += least - kept
+
+
+@compiled
+def _look_at_band(made, room, plane, top, height, width, low, high):
+    """Groups of 4x4 pixels: the least, minus the highest, and sums of what is beyond the bounds.
+
+    Pixels outside of the picture are as those at its edge.
+    """
+    least, most, over, under = room[0], room[1], room[2], room[3]
+    zero, last = np.float32(0), height - 1
+    first, second = plane[min(max(top, 0), last)], plane[min(max(top + 1, 0), last)]
+    third, fourth = plane[min(max(top + 2, 0), last)], plane[min(max(top + 3, 0), last)]
+    for x in range(width):
+        a, b, c, d = first[x], second[x], third[x], fourth[x]
+        least[x + APART], most[x + APART] = min(a, b, c, d), max(a, b, c, d)
+        over[x + APART] = (
+            max(a - high, zero) + max(b - high, zero) + max(c - high, zero) + max(d - high, zero)
+        )
+        under[x + APART] = (
+            max(low - a, zero) + max(low - b, zero) + max(low - c, zero) + max(low - d, zero)
+        )
+    for each in room:
+        each[:APART] = each[APART]
+        each[APART + width :] = each[APART + width - 1]
+    for group in range(made.shape[1]):
+        x = group * _SIDE
+        made[0, group] = min(least[x], least[x + 1], least[x + 2], least[x + 3])
+        made[1, group] = -max(most[x], most[x + 1], most[x + 2], most[x + 3])
+        made[2, group] = over[x] + over[x + 1] + over[x + 2] + over[x + 3]
+        made[3, group] = under[x] + under[x + 1] + under[x + 2] + under[x + 3]
 
 
 @compiled

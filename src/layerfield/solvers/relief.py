@@ -18,8 +18,9 @@ from torch.nn.functional import (
     relu,
 )
 
-from layerfield.kernels.cells import BEYOND, CELL, LEAK, SIGNS, Network, relieve_
+from layerfield.kernels.cells import APART, BEYOND, CELL, LEAK, SIGNS, Network, relieve_
 from layerfield.kernels.compiled import serve
+from layerfield.projection import sum_of
 
 
 class Convolution(NamedTuple):
@@ -128,21 +129,26 @@ def signs(
 
     Args:
         shadow: s, on a torus.
-        size: height and width of the layers in its top left corner; cells at the lower and the
-            right edge may be smaller.
+        size: height and width of the layers in its top left corner; beyond their edges it is as
+            it is there.
         bounds: of z.
     """
     low, high = bounds
     planes = (shadow[..., : size[0], : size[1]].reshape(-1, 1, *size) - low) / (high - low)
-    least, most = (sign * max_pool2d(sign * planes, CELL, ceil_mode=True) for sign in (-1, 1))
-    over, under = (
-        avg_pool2d(relu(each), CELL, ceil_mode=True, count_include_pad=False)
-        for each in (planes - 1, -planes)
-    )
+    below, beside = (APART + -each % CELL for each in size)
+    planes = pad(planes, (APART, beside, APART, below), mode="replicate")
+    windows = [planes[..., y:, x:] for y in (0, 2 * APART) for x in (0, 2 * APART)]
+    found = sum_of([_of_windows(each) for each in windows]) / len(windows)
+    return found.reshape(*shadow.shape[:-2], *found.shape[1:])
+
+
+def _of_windows(planes: Float[Tensor, "n 1 y x"]) -> Float[Tensor, "n sign cy cx"]:
+    """Return what is known of windows that lie side by side, of values in shares of the range."""
+    least, most = (sign * max_pool2d(sign * planes, CELL) for sign in (-1, 1))
+    over, under = (avg_pool2d(relu(each), CELL) for each in (planes - 1, -planes))
     falls, rises = least.clamp(0, 1), 1 - most.clamp(0, 1)
     beyond = over, -under, least - falls, most - (1 - rises)
-    found = torch.cat([falls, rises, *(BEYOND * each for each in beyond)], dim=1)
-    return found.reshape(*shadow.shape[:-2], *found.shape[1:])
+    return torch.cat([falls, rises, *(BEYOND * each for each in beyond)], dim=1)
 
 
 def _of_layers(

@@ -11,6 +11,7 @@ OUT/targets/view_RR_CC.png   what they should see, if asked for
 """
 
 import dataclasses
+import hashlib
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
@@ -212,7 +213,10 @@ def _hyper_parameters(solution: Solution) -> dict[str, Any]:
 
 
 def _by_name(value: Any) -> Any:
-    """Return plain data: what dataclasses and named tuples hold, by name."""
+    """Return plain data: what dataclasses and named tuples hold, by name; of weights a digest."""
+    if isinstance(value, Tensor):
+        digest = hashlib.sha256(value.detach().cpu().contiguous().numpy().tobytes())
+        return {"shape": list(value.shape), "sha256": digest.hexdigest()}
     if dataclasses.is_dataclass(value):
         return {each.name: _by_name(getattr(value, each.name)) for each in fields(value)}
     if hasattr(value, "_asdict"):

@@ -193,6 +193,8 @@ def test_constants_of_steps_are_recorded_by_name(desk):
     names = ["penalty", "relaxation", "trust", "kept", "momentum"]
     assert [list(each) for each in solver["full"]] == [names] * 2
     assert solver["after"]["penalty"] == 0.05
+    assert solver["relief"]["last"]["shape"] == [1, 4, 3, 3]
+    assert len(solver["relief"]["last"]["sha256"]) == 64
 
 
 def test_psnr_is_that_of_the_written_pictures(made, original):

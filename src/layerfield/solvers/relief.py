@@ -46,7 +46,8 @@ class Relief:
     cell, by how much its pixels may fall and rise and how far s goes beyond the bounds is told to a
     network, which answers how much light the layer takes from the others there:
 
-        h = |[min z - low, high - max z, mean u+, mean u-, min u, max u]|   of a cell, 0 to 1
+        h = |[min z - low, high - max z, mean u+, mean u-, min u, max u]|   of a window, 0 to 1
+        h <- its mean over the four windows of 8x8 pixels around a cell, see `signs`
         h_k <- g(own * h_k + common * mean_k h + bias)  g leaky; from the second on h_k is added
         d_k = last * (h_k - mean_k h),   s <- s + d, between the middles of cells linearly
 
@@ -126,6 +127,9 @@ def signs(
     bounds: tuple[float, float],
 ) -> Float[Tensor, "*batch layer c sign cy cx"]:
     """Return what is known of every cell, see `Relief`, in shares of the range of z.
+
+    Mean of four windows, two pixels up or down and left or right of the cell: one alone answers
+    otherwise wherever the picture lies otherwise, and layers flicker when a scene scrolls.
 
     Args:
         shadow: s, on a torus.

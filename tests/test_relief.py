@@ -85,6 +85,17 @@ def test_what_runs_is_what_is_trained(views):
         assert (made - without).abs().max() > 0.01  # what it says counts
 
 
+def test_light_of_double_precision_has_its_network():
+    views = torch.rand(25, 1, 40, 57)
+    display, solver = Display.load("additive-3"), learned(3).rows().direct
+    made, fine = (
+        solve(Problem.of(display, each), solver, iterations=3).layers
+        for each in (views, views.double())
+    )
+    assert fine.dtype == torch.float64
+    torch.testing.assert_close(made.double(), fine, atol=2e-5, rtol=0)
+
+
 def test_steps_one_by_one_are_those_made_at_once():
     problem = Problem.of(Display.load("additive-3"), torch.rand(25, 1, 40, 57))
     solver = learned(3).rows().direct

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import chain
 from typing import NamedTuple
 
@@ -112,13 +113,23 @@ class Relief:
         """
         *batch, number, channels, _, height, width = known.shape
         seen = known.transpose(-5, -4).reshape(-1, number, SIGNS, height, width)
-        for n, part in enumerate(self.hidden):
+        hidden, last = _for(self, known.device, known.dtype)
+        for n, part in enumerate(hidden):
             own = _of_layers(seen, part.own)
             common = _convolved(seen.mean(dim=1), part.common)
             made = own + (common + part.bias[:, None, None])[:, None]
             seen = leaky_relu(made, LEAK) + (seen if n else 0)
-        answers = _of_layers(seen, self.last).reshape(*batch, channels, number, height, width)
+        answers = _of_layers(seen, last).reshape(*batch, channels, number, height, width)
         return (answers - answers.mean(dim=-3, keepdim=True)).transpose(-4, -3)
+
+
+@lru_cache(maxsize=16)
+def _for(
+    relief: Relief, device: torch.device, dtype: torch.dtype
+) -> tuple[list[Convolution], Tensor]:
+    """Return its tensors where they are needed, brought there once."""
+    hidden = [Convolution(*(each.to(device, dtype) for each in part)) for part in relief.hidden]
+    return hidden, relief.last.to(device, dtype)
 
 
 def signs(

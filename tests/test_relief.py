@@ -123,9 +123,10 @@ def test_derivatives_reach_the_network():
 def test_a_file_holds_the_network(tmp_path):
     card = LearnedCard("fast", "additive", 0.1, "mine", {})
     write_learned(tmp_path / "mine.safetensors", Learned({2: learned(2).rows()}, card))
-    found = read_learned(tmp_path / "mine.safetensors").steps[2]
+    found, known = read_learned(tmp_path / "mine.safetensors").steps[2], learned(2).rows()
     assert found.relief is not None
-    pairs = zip(found.relief.tensors, learned(2).rows().relief.tensors, strict=True)
+    assert known.relief is not None
+    pairs = zip(found.relief.tensors, known.relief.tensors, strict=True)
     assert all(torch.equal(*pair) for pair in pairs)
 
 

@@ -37,8 +37,10 @@ class Network(NamedTuple):
     @classmethod
     def of(cls, hidden: Sequence[Sequence[Tensor]], last: Tensor) -> "Network":
         """Return the network of such tensors, see `Relief`."""
-        parts = (tuple(_array(each) for each in part) for part in zip(*hidden, strict=True))
-        return cls(*parts, _array(last))
+        own, common, bias = (
+            tuple(_array(each) for each in part) for part in zip(*hidden, strict=True)
+        )
+        return cls(own, common, bias, _array(last))
 
 
 def _array(values: Tensor) -> np.ndarray:

@@ -72,7 +72,7 @@ def test_signs_are_those_of_the_pixels_of_four_windows():
     torch.testing.assert_close(known[:2, 1, 1], torch.tensor([0.4, 1.0]) / 1.6)
 
 
-@pytest.mark.parametrize("views", [(5, 5), (1, 7)])  # rows that know nothing of each other, too
+@pytest.mark.parametrize("views", [(5, 5), (1, 7)])  # there rows know nothing of each other
 def test_what_runs_is_what_is_trained(views):
     known = {"name": "mine", "link": "additive", "disparity": [1.0, 0.0, -1.0], "views": views}
     display = Display(DisparitySpec.model_validate(known))
@@ -82,7 +82,8 @@ def test_what_runs_is_what_is_trained(views):
         made = solve(problem, model.rows().direct, iterations=3).layers
         without = solve(problem, replace(model.rows(), relief=None).direct, iterations=3).layers
         torch.testing.assert_close(made, model(problem), atol=2e-5, rtol=0)
-        assert (made - without).abs().max() > 0.01  # what it says counts
+        counts = (made - without).abs().max()
+        assert counts > 0.01 if views[0] > 1 else counts == 0
 
 
 def test_light_of_double_precision_has_its_network():

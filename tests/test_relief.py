@@ -38,14 +38,15 @@ def learned(steps: int) -> LearnedSteps:
     return model
 
 
+@pytest.mark.parametrize("by_row", [False, True])
 @pytest.mark.parametrize("size", [(40, 57), (16, 24), (3, 64), (1, 1)])
-def test_compiled_loops_do_what_the_formula_says(size):
+def test_compiled_loops_do_what_the_formula_says(size, by_row):
     torus = size[0] + 3, size[1] + 5
     shadow = 0.5 + 0.5 * torch.randn(2, 1, 3, 2, *torus)
-    found = network().relieve_(shadow.clone(), size, BOUNDS)
+    found = network().relieve_(shadow.clone(), size, BOUNDS, by_row=by_row)
     with plain():
         torch.testing.assert_close(
-            found, network().relieve_(shadow, size, BOUNDS), atol=2e-5, rtol=0
+            found, network().relieve_(shadow, size, BOUNDS, by_row=by_row), atol=2e-5, rtol=0
         )
 
 
@@ -82,8 +83,7 @@ def test_what_runs_is_what_is_trained(views):
         made = solve(problem, model.rows().direct, iterations=3).layers
         without = solve(problem, replace(model.rows(), relief=None).direct, iterations=3).layers
         torch.testing.assert_close(made, model(problem), atol=2e-5, rtol=0)
-        counts = (made - without).abs().max()
-        assert counts > 0.01 if views[0] > 1 else counts == 0
+        assert (made - without).abs().max() > 0.01  # what it says counts
 
 
 def test_light_of_double_precision_has_its_network():

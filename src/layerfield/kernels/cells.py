@@ -1,4 +1,8 @@
-"""Cells of 8x8 pixels: what is known of them, a small network on that, and what is added."""
+"""Cells of 8x8 pixels: what is known of them, a small network on that, and what is added.
+
+Where every row is solved by itself it is a picture of its own, of one row of cells, above and below
+which everything is as it is there: cells are one pixel tall, and taps of a column are one.
+"""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -42,9 +46,19 @@ class Network(NamedTuple):
         )
         return cls(own, common, bias, _array(last))
 
+    @property
+    def of_rows(self) -> "Network":
+        """The same for rows that know nothing of each other."""
+        own, common = (tuple(map(_of_rows, part)) for part in (self.own, self.common))
+        return Network(own, common, self.bias, _of_rows(self.last))
+
 
 def _array(values: Tensor) -> np.ndarray:
     return values.detach().contiguous().numpy()
+
+
+def _of_rows(taps: np.ndarray) -> np.ndarray:
+    return taps.sum(axis=2, keepdims=True)
 
 
 _NO_TAPS = np.zeros((0, 0, 3, 3), np.float32)
@@ -56,6 +70,8 @@ def relieve_(
     size: tuple[int, int],
     bounds: tuple[float, float],
     network: Network,
+    *,
+    by_row: bool,
 ) -> None:
     """Change s as `Relief` says.
 
@@ -64,17 +80,21 @@ def relieve_(
         size: height and width of what has cells, in the top left corner.
         bounds: of z.
         network: of any number of channels.
+        by_row: whether every row is solved by itself.
     """
+    tall, network = (1, network.of_rows) if by_row else (CELL, network)
     planes, low, high = planes_of(shadow), *(np.float32(each) for each in bounds)
     number, channels = shadow.shape[-4:-2]
-    pictures, cells = len(planes) // number, tuple(-(-each // CELL) for each in size)
+    pictures, cells = len(planes) // number, (-(-size[0] // tall), -(-size[1] // CELL))
     known = np.empty((pictures, number, SIGNS, *cells), np.float32)
     change = np.empty((pictures, number, *cells), np.float32)
-    seen = known, planes, channels, *size, low, high
+    seen = known, planes, channels, tall, *size, low, high
     _look.in_spans(*seen, count=len(planes) * cells[0], numbers=planes.size)
     work = known.size * sum(len(each) for each in network.bias)
-    _answer.in_spans(change, known, *network, high - low, count=pictures, numbers=work)
-    given = planes, change, channels, *size
+    together = _ROWS if by_row else cells[0]
+    asked = change, known, *network, high - low, together
+    _answer.in_spans(*asked, count=pictures * -(-cells[0] // together), numbers=work)
+    given = planes, change, channels, tall, *size
     _add.in_spans(*given, count=len(planes) * size[0], numbers=planes.size)
 
 
@@ -89,16 +109,16 @@ def relieve_picture(planes, picture, number, channels, size, bounds, network):
     low, high = bounds
     for k in range(number):
         plane = (item * number + k) * channels + channel
-        _look_at_rows(known[0, k], planes[plane], height, width, low, high, 0, rows)
+        _look_at_rows(known[0, k], planes[plane], CELL, height, width, low, high, 0, rows)
     own, common, bias, last = network
-    _answer(change, known, own, common, bias, last, high - low, 0, 1)
+    _answer(change, known, own, common, bias, last, high - low, rows, 0, 1)
     for k in range(number):
         plane = (item * number + k) * channels + channel
-        _add_to_rows(planes[plane], change[0, k], height, width, 0, height)
+        _add_to_rows(planes[plane], change[0, k], CELL, height, width, 0, height)
 
 
 @compiled
-def _look(made, planes, channels, height, width, low, high, begin, end):
+def _look(made, planes, channels, tall, height, width, low, high, begin, end):
     """Rows of cells of all planes, one after the other, from and to."""
     number, rows, place = made.shape[1], made.shape[3], begin
     while place < end:
@@ -107,15 +127,16 @@ def _look(made, planes, channels, height, width, low, high, begin, end):
         item, rest = divmod(plane, number * channels)
         k, channel = divmod(rest, channels)
         known = made[item * channels + channel, k]
-        _look_at_rows(known, planes[plane], height, width, low, high, row, row + count)
+        _look_at_rows(known, planes[plane], tall, height, width, low, high, row, row + count)
         place += count
 
 
 @compiled
-def _look_at_rows(known, plane, height, width, low, high, begin, end):
+def _look_at_rows(known, plane, tall, height, width, low, high, begin, end):
     """Rows of cells from and to: each from three bands of pixels, the first that of the row before.
 
-    Two bands and two groups of pixels are a window, and four windows a cell.
+    Two bands and two groups of pixels are a window, and four windows a cell. Where cells are one
+    pixel tall, all three bands are that row again and again.
     """
     columns, one = known.shape[2], np.float32(1)
     groups, scale = 2 * columns + 1, one / (high - low)
@@ -124,11 +145,15 @@ def _look_at_rows(known, plane, height, width, low, high, begin, end):
     inside, beyond = np.empty(groups, np.float32), np.empty(groups, np.float32)
     quarter, share = np.float32(0.25), np.float32(BEYOND / (4 * CELL**2)) * scale
     for row in range(begin, end):
-        if row > begin:
-            bands[0] = bands[2]
-        for n in range(1 if row > begin else 0, 3):
-            top = row * CELL - APART + n * _SIDE
-            _look_at_band(bands[n], room, plane, top, height, width, low, high)
+        if tall == 1:
+            _look_at_band(bands[0], room, plane, row, 0, height, width, low, high)
+            bands[1], bands[2] = bands[0], bands[0]
+        else:
+            if row > begin:
+                bands[0] = bands[2]
+            for n in range(1 if row > begin else 0, 3):
+                top = row * CELL - APART + n * _SIDE
+                _look_at_band(bands[n], room, plane, top, 1, height, width, low, high)
         for sign in range(2):  # how far it may fall; and, of what is left up to 1, rise
             shift, more = (one + scale * low, -quarter) if sign else (-scale * low, quarter)
             inside[:], beyond[:] = 0, 0
@@ -162,15 +187,16 @@ def _add_windows(inside, beyond, upper, lower, scale, shift):
 
 
 @compiled
-def _look_at_band(made, room, plane, top, height, width, low, high):
+def _look_at_band(made, room, plane, top, step, height, width, low, high):
     """Groups of 4x4 pixels: the least, minus the highest, and sums of what is beyond the bounds.
 
     Pixels outside of the picture are as those at its edge.
     """
     least, most, over, under = room[0], room[1], room[2], room[3]
     zero, last = np.float32(0), height - 1
-    first, second = plane[min(max(top, 0), last)], plane[min(max(top + 1, 0), last)]
-    third, fourth = plane[min(max(top + 2, 0), last)], plane[min(max(top + 3, 0), last)]
+    first, second = plane[min(max(top, 0), last)], plane[min(max(top + step, 0), last)]
+    third = plane[min(max(top + 2 * step, 0), last)]
+    fourth = plane[min(max(top + 3 * step, 0), last)]
     for x in range(width):
         a, b, c, d = first[x], second[x], third[x], fourth[x]
         least[x + APART], most[x + APART] = min(a, b, c, d), max(a, b, c, d)
@@ -192,27 +218,30 @@ def _look_at_band(made, room, plane, top, height, width, low, high):
 
 
 @compiled
-def _answer(made, known, own, common, bias, last, scale, begin, end):
-    """All layers of pictures, from and to."""
-    number, signs, height, width = known.shape[1:]
-    for picture in range(begin, end):
-        seen = np.empty((number, signs, height + 2, width + 2), np.float32)
-        seen[:, :, 1:-1, 1:-1] = known[picture]
+def _answer(made, known, own, common, bias, last, scale, together, begin, end):
+    """All layers of so many rows of cells of pictures, from and to; rows know of those alone."""
+    number, signs, rows, width = known.shape[1:]
+    parts, above = -(-rows // together), last.shape[2] // 2
+    for place in range(begin, end):
+        picture, part = divmod(place, parts)
+        top, height = part * together, min(together, rows - part * together)
+        seen = np.empty((number, signs, height + 2 * above, width + 2), np.float32)
+        seen[:, :, above : above + height, 1:-1] = known[picture, :, :, top : top + height]
         for n in range(len(own)):
             for k in range(number):
-                _frame(seen[k])
+                _frame(seen[k], above)
             shared = _of_all(seen, common[n], bias[n])
-            after = np.empty((number, len(shared), height + 2, width + 2), np.float32)
+            after = np.empty((number, len(shared), height + 2 * above, width + 2), np.float32)
             for k in range(number):
                 found = shared.copy()
                 _convolve(found, seen[k], own[n])
-                _go_on(after[k], found, seen[k], n > 0)
+                _go_on(after[k], found, seen[k], above, n > 0)
             seen = after
         answers = np.zeros((number, 1, height, width + 2), np.float32)
         for k in range(number):
-            _frame(seen[k])
+            _frame(seen[k], above)
             _convolve(answers[k], seen[k], last)
-        _balance(made[picture], answers[:, 0], scale)
+        _balance(made[picture, :, top : top + height], answers[:, 0], scale)
 
 
 @compiled
@@ -238,7 +267,7 @@ def _of_all(seen, taps, bias):
         for sign in range(signs):
             for y in range(height):
                 mean[sign, y] += seen[k, sign, y] / np.float32(number)
-    found = np.empty((len(bias), height - 2, width), np.float32)
+    found = np.empty((len(bias), height + 1 - taps.shape[2], width), np.float32)
     for channel in range(len(bias)):
         found[channel] = bias[channel]
     _convolve(found, mean, taps)
@@ -246,30 +275,31 @@ def _of_all(seen, taps, bias):
 
 
 @compiled
-def _go_on(after, found, seen, adds):
+def _go_on(after, found, seen, above, adds):
     """Put what was found, and what was seen before if that is asked for, inside of a frame."""
     channels, height, width = found.shape
     for channel in range(channels):
         for y in range(height):
-            line, old = found[channel, y], seen[channel if adds else 0, y + 1]
+            line, old = found[channel, y], seen[channel if adds else 0, y + above]
             for x in range(width - 2):
                 value = max(line[x], np.float32(LEAK) * line[x])
-                after[channel, y + 1, x + 1] = value + old[x + 1] if adds else value
+                after[channel, y + above, x + 1] = value + old[x + 1] if adds else value
 
 
 @compiled
-def _frame(planes):
-    """Put what is nearest around planes."""
+def _frame(planes, above):
+    """Put what is nearest around planes: a column at each side, so many rows above and below."""
     for plane in planes:
-        plane[1:-1, 0] = plane[1:-1, 1]
-        plane[1:-1, -1] = plane[1:-1, -2]
-        plane[0] = plane[1]
-        plane[-1] = plane[-2]
+        plane[:, 0] = plane[:, 1]
+        plane[:, -1] = plane[:, -2]
+        if above:
+            plane[0] = plane[1]
+            plane[-1] = plane[-2]
 
 
 @compiled
 def _convolve(made, seen, taps):
-    """Add what 3x3 taps find in planes that have a frame.
+    """Add what 3x3 or 1x3 taps find in planes that have a frame.
 
     What is made is as wide, so that rows follow each other in both alike: the last two values of
     each mean nothing.
@@ -281,9 +311,13 @@ def _convolve(made, seen, taps):
             line = made[channel].reshape(-1)[y * width :]
             for sign in range(len(seen)):
                 plane, near = seen[sign].reshape(-1), taps[channel, sign]
-                upper, middle = plane[y * width :], plane[(y + 1) * width :]
-                lower = plane[(y + 2) * width :]
+                upper = plane[y * width :]
                 a, b, c = near[0, 0], near[0, 1], near[0, 2]
+                if len(near) == 1:
+                    for x in range(count):
+                        line[x] += a * upper[x] + b * upper[x + 1] + c * upper[x + 2]
+                    continue
+                middle, lower = plane[(y + 1) * width :], plane[(y + 2) * width :]
                 d, e, f = near[1, 0], near[1, 1], near[1, 2]
                 g, h, i = near[2, 0], near[2, 1], near[2, 2]
                 for x in range(count):
@@ -295,7 +329,7 @@ def _convolve(made, seen, taps):
 
 
 @compiled
-def _add(planes, change, channels, height, width, begin, end):
+def _add(planes, change, channels, tall, height, width, begin, end):
     """Rows of pixels of all planes, one after the other, from and to."""
     number, place = change.shape[1], begin
     while place < end:
@@ -304,12 +338,12 @@ def _add(planes, change, channels, height, width, begin, end):
         item, rest = divmod(plane, number * channels)
         k, channel = divmod(rest, channels)
         cells = change[item * channels + channel, k]
-        _add_to_rows(planes[plane], cells, height, width, y, y + count)
+        _add_to_rows(planes[plane], cells, tall, height, width, y, y + count)
         place += count
 
 
 @compiled
-def _add_to_rows(plane, cells, height, width, begin, end):
+def _add_to_rows(plane, cells, tall, height, width, begin, end):
     """Rows of pixels from and to."""
     rows, columns = cells.shape
     half, one = np.float32(0.5), np.float32(1) / np.float32(CELL)
@@ -317,7 +351,7 @@ def _add_to_rows(plane, cells, height, width, begin, end):
     between = np.empty(columns + 2, np.float32)
     line = np.empty((columns + 1) * CELL, np.float32)
     for y in range(begin, end):
-        at = max((np.float32(y) + half) * one - half, np.float32(0))
+        at = max((np.float32(y) + half) / np.float32(tall) - half, np.float32(0))
         upper = int(at)
         lower, below = min(upper + 1, rows - 1), at - np.float32(upper)
         for x in range(columns):

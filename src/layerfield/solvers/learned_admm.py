@@ -62,8 +62,7 @@ class LearnedAdmm:
     bounds, is taken out (`Spectral.window`) and solved by itself on pixels four times as large, by
     steps that cost a sixteenth each.
 
-    Behind the first of several steps a network hands on what layers cannot hold, see `Relief`; not
-    where parallax is horizontal only, and every row of pixels is solved by itself.
+    Behind the first of several steps a network hands on what layers cannot hold, see `Relief`.
     Behind the last learned step, and from layers that are given, the direct solver goes on.
 
     Args:
@@ -147,9 +146,11 @@ class LearnedAdmm:
 
     def _relieve_(self, problem: Problem, shadow: Tensor) -> Tensor:
         """Return what the network makes of s between the first step and the second, in place."""
-        if self.relief is None or problem.gram.spectral.by_row:  # it would join rows
+        if self.relief is None:
             return shadow
-        return self.relief.relieve_(shadow, problem.gram.layer_size, problem.bounds)
+        gram = problem.gram
+        by_row = gram.spectral.by_row
+        return self.relief.relieve_(shadow, gram.layer_size, problem.bounds, by_row=by_row)
 
     def _first(self, problem: Problem, constants: Constants, grid: Spectral | None) -> Tensor:
         """Return s after the first step."""

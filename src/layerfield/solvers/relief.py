@@ -86,6 +86,8 @@ class Relief:
         shadow: Float[Tensor, "*batch layer c ty tx"],
         size: tuple[int, int],
         bounds: tuple[float, float],
+        *,
+        by_row: bool = False,
     ) -> Float[Tensor, "*batch layer c ty tx"]:
         """Return s with that change; compiled loops make it in place.
 
@@ -93,10 +95,15 @@ class Relief:
             shadow: s, contiguous, on a torus; the layers are in its top left corner.
             size: height and width of the layers.
             bounds: of z.
+            by_row: every row is solved by itself, so it is a picture of its own.
         """
         if serve(shadow, *self.tensors):
-            relieve_(shadow, size, bounds, self.network)
+            relieve_(shadow, size, bounds, self.network, by_row=by_row)
             return shadow
+        if by_row:
+            rows = shadow[..., : size[0], :].flatten(-3, -2).unsqueeze(-2)  # as colours are
+            made = self.relieve_(rows, (1, size[1]), bounds).unflatten(-3, (-1, size[0]))
+            return torch.cat([made.squeeze(-2), shadow[..., size[0] :, :]], dim=-2)
         change = (bounds[1] - bounds[0]) * self.changes(signs(shadow, size, bounds))
         planes = change.reshape(-1, 1, *change.shape[-2:])
         wide = interpolate(planes, scale_factor=CELL, mode="bilinear")[..., : size[0], : size[1]]

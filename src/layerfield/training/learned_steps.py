@@ -90,8 +90,9 @@ class LearnedSteps(nn.Module):
         full, coarse = (_among(problem.layer_count, rows) for rows in real)
         data = _completed(problem, problem.even_start(gram.torus))
         shadow = _first(gram.spectral, data, full[0], coarse, bounds)
-        if len(self.relief) and not gram.spectral.by_row:
-            shadow = Relief.of(list(self.relief)).relieve_(shadow, gram.layer_size, bounds)
+        if len(self.relief):
+            relief, by_row = Relief.of(list(self.relief)), gram.spectral.by_row
+            shadow = relief.relieve_(shadow, gram.layer_size, bounds, by_row=by_row)
         return gram.from_torus(_steps(problem, shadow, full[1:])).clamp(*bounds)
 
     def behind(

@@ -17,7 +17,7 @@ from displays import SHOWN
 from layerfield import Display, Problem
 from layerfield.display_spec import parse_spec
 from layerfield.kept_views import KeptViews
-from layerfield.kernels import compiled, threads
+from layerfield.kernels import compiled, sweep_passes, threads
 from layerfield.kernels.compiled import plain
 from layerfield.kernels.threads import in_threads
 from layerfield.solvers import ntf, sweeps
@@ -122,6 +122,13 @@ def test_sweeps_are_those_of_pytorch(link, threads):
         assert torch.equal(state.count, expected.count)
         counts.append(state.count.flatten())
     assert len({tuple(each.tolist()) for each in counts}) > 1
+
+
+def test_pixels_behind_nearly_black_ones_stay_numbers():
+    """Their curvature is so small that one over it is infinite."""
+    layers, nothing = torch.full((1, 1, 1, 1, 40), 0.5), torch.zeros(1, 1, 1, 1, 40)
+    sweep_passes.move_layer_(layers, 0, nothing, torch.full_like(nothing, 1e-40), (0.0, 1.0))
+    assert torch.equal(layers, torch.full_like(layers, 0.5))
 
 
 @pytest.mark.parametrize("is_turned", [False, True])

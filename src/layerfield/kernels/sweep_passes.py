@@ -14,6 +14,7 @@ Layers = Float[Tensor, "*batch 1 layer c ly lx"]
 One = Float[Tensor, "*batch 1 1 c ly lx"]
 
 _ZERO = np.float32(0)
+_LEAST = np.float32(1e-12)  # curvature: one over less than that may be infinite
 
 
 class _Bounds(NamedTuple):
@@ -106,7 +107,7 @@ def _move_rows(layers, index, slopes, curvatures, bounds, begin, end):
 def _move(row, slope, curvature, bounds):
     for x in range(len(row)):
         bent = curvature[x]
-        step = slope[x] / bent if bent > _ZERO else _ZERO
+        step = slope[x] / max(bent, _LEAST) if bent > _ZERO else _ZERO
         row[x] = min(max(row[x] + step, bounds.low), bounds.high)
 
 

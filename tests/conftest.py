@@ -13,6 +13,9 @@ import shape_checks
 import torch
 from jaxtyping import install_import_hook
 
+if not torch.cuda.is_available():  # before Triton is imported: kernels run on the processor
+    os.environ["TRITON_INTERPRET"] = "1"
+
 hook = install_import_hook("layerfield", "shape_checks.checked")
 hook.__enter__()
 

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from layerfield.kept_views import LARGEST, KeptViews
 from layerfield.kernels import code_sums
+from layerfield.kernels.gpu.serving import on_gpu
 from layerfield.kernels.light_paths import LightPaths, Shares
 from layerfield.links import Additive
 from layerfield.pieces import pieces
@@ -31,7 +32,8 @@ def back_projected(
         views: L.
         weights: W, one for every view.
     """
-    if projection.is_whole and views.is_whole and views.table is None and len({*weights}) == 1:
+    whole = projection.is_whole and views.is_whole and views.table is None
+    if whole and len({*weights}) == 1 and not on_gpu(views.like):
         largest = LARGEST[views.stored.dtype]
         held = [dtype for dtype, most in _MOST.items() if largest * len(views) <= most]
         if held:

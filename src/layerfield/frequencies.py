@@ -4,7 +4,7 @@ Views without borders make the Gram matrix of layers one such matrix, layer by l
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import count
@@ -16,6 +16,7 @@ from torch import Tensor
 
 from layerfield.kernels.blends import Blend
 from layerfield.kernels.compiled import serve
+from layerfield.kernels.gpu.serving import on_gpu
 from layerfield.kernels.inverses import Terms
 from layerfield.kernels.spectra import LowPart, Pairs
 from layerfield.kernels.symbols import Symbol, symbol_of
@@ -55,12 +56,32 @@ def fast_width(least: int) -> int:
     return aligned if aligned <= 1.08 * even else even
 
 
+def fast_on_gpu(least: int) -> int:
+    """Return a number that is quickly transformed on a GPU: a power of two next to it, or smooth.
+
+    Multiples of 16 without prime factors over 7. Libraries transform others in more passes: on an
+    H200, 1120 x 2048 pixels in 0.31 ms where 1089 x 1936 take 0.40.
+
+    >>> fast_on_gpu(1084), fast_on_gpu(1924)
+    (1120, 2048)
+    """
+    power = 2 ** math.ceil(math.log2(max(1, least)))
+    smooth = next(
+        n for n in count(16 * math.ceil(max(1, least) / 16), 16) if _is_smooth(n, (2, 3, 5, 7))
+    )
+    return power if power <= 1.08 * least else smooth
+
+
 def _is_fast(number: int) -> bool:
-    rest = number
-    for prime in (2, 3, 5, 7, 11, 13):
-        while rest % prime == 0:
-            rest //= prime
-    return rest == 1 and (number < 10 or any(number % n == 0 for n in (2, 5, 9)))
+    smooth = _is_smooth(number, (2, 3, 5, 7, 11, 13))
+    return smooth and (number < 10 or any(number % n == 0 for n in (2, 5, 9)))
+
+
+def _is_smooth(number: int, primes: Sequence[int]) -> bool:
+    for prime in primes:
+        while number % prime == 0:
+            number //= prime
+    return number == 1
 
 
 class Spectral:
@@ -85,7 +106,7 @@ class Spectral:
     ) -> None:
         self.symbol, self.torus, self.weight = symbol, torus, weight
         self.by_row, self.pixels = by_row, pixels
-        self._kept: dict[tuple[float, ...], Matrix] = {}
+        self._kept: dict[tuple[Any, ...], Matrix | Tensor] = {}
         self._coarser: dict[int, Spectral] = {}
 
     def to_frequencies(
@@ -95,12 +116,12 @@ class Spectral:
         return torch.fft.rfft(planes) if self.by_row else torch.fft.rfft2(planes)
 
     def to_pixels(
-        self, spectrum: Complex[Tensor, "*batch c fy fx"]
+        self, spectrum: Complex[Tensor, "*batch c fy fx"], norm: str = "backward"
     ) -> Float[Tensor, "*batch c ty tx"]:
-        """Return the planes of a spectrum."""
+        """Return the planes of a spectrum; a norm as PyTorch has it."""
         if self.by_row:
-            return torch.fft.irfft(spectrum, n=self.torus[1])
-        return torch.fft.irfft2(spectrum, s=self.torus)
+            return torch.fft.irfft(spectrum, n=self.torus[1], norm=norm)
+        return torch.fft.irfft2(spectrum, s=self.torus, norm=norm)
 
     def low_to_pixels(
         self, spectrum: Complex[Tensor, "*batch c fy fx"]
@@ -142,10 +163,12 @@ class Spectral:
         if not self.serves(planes, added):
             seen = self.to_frequencies(planes.planes() if isinstance(planes, Blend) else planes)
             taken = None if apart is None else low_part(seen, apart.grid)
-            seen = self.solved_frequencies(seen, penalty, balance, gain, kept)
+            # What transforms divide by is part of the matrices: a pass less.
+            share = 1 / math.prod(self.torus[int(self.by_row) :])
+            seen = self.solved_frequencies(seen, penalty, balance, gain * share, kept * share)
             if apart is not None and taken is not None:
-                replace_low_part_(seen, apart.solve(taken), apart.grid)
-            result = self.to_pixels(seen)
+                replace_low_part_(seen, apart.solve(taken).mul_(share), apart.grid)
+            result = self.to_pixels(seen, norm="forward")
             return result if added is None else added.planes(onto=result)
         pull, rho = 0 if self.by_row else balance * self.weight, penalty * self.weight
         terms = Terms(rho, pull, gain * rho, kept)
@@ -170,7 +193,14 @@ class Spectral:
         kept: float = 0.0,
     ) -> Complex[Tensor, "*batch layer c fy fx"]:
         """Return the same of the spectrum of planes."""
-        product = multiply(self._resolvent(penalty, balance, gain), spectrum)
+        if self.symbol.dtype == torch.float32 and on_gpu(spectrum):
+            from layerfield.kernels.gpu.spectra import multiply as multiply_on_gpu  # noqa: PLC0415  needs Triton
+            from layerfield.kernels.gpu.spectra import upper  # noqa: PLC0415  needs Triton
+
+            known = self._resolvent(penalty, balance, gain, upper)
+            return multiply_on_gpu(known, spectrum, kept)
+        known = self._resolvent(penalty, balance, gain, interleaved)
+        product = multiply(known, spectrum)
         return product.add_(spectrum, alpha=kept) if kept else product
 
     def serves(self, *planes: Tensor | Blend | None) -> bool:
@@ -188,11 +218,20 @@ class Spectral:
         """The symbol for compiled loops."""
         return symbol_of(self.symbol)
 
-    def _resolvent(self, penalty: float, balance: float, gain: float) -> Matrix:
-        """Computed once for a penalty: it depends on the display alone."""
-        key = (penalty, balance, gain)
+    def _resolvent(
+        self, penalty: float, balance: float, gain: float, written: Callable[[Tensor], Any]
+    ) -> Any:
+        """Computed once for a penalty: it depends on the display alone.
+
+        Args:
+            penalty: as of `solved_pixels`, and the others.
+            balance: share of the weight.
+            gain: of it all.
+            written: how it is kept.
+        """
+        key = (penalty, balance, gain, written)
         if key not in self._kept:
-            found = resolvent(self, penalty, balance, gain)
+            found = written(resolvent(self, penalty, balance, gain))
             if sum(map(_size, self._kept.values())) + _size(found) > _MOST_KEPT:
                 self._kept.clear()
             self._kept[key] = found
@@ -240,14 +279,16 @@ class Apart:
     solve: Callable[[Tensor], Tensor]
 
 
-def resolvent(spectral: Spectral, penalty: float, balance: float, gain: float = 1.0) -> Matrix:
-    """Return g rho (G + rho I)^-1 for `multiply`; arguments as of `Spectral.solved_pixels`."""
+def resolvent(
+    spectral: Spectral, penalty: float, balance: float, gain: float = 1.0
+) -> Inexact[Tensor, "layer layer fy fx"]:
+    """Return g rho (G + rho I)^-1; arguments as of `Spectral.solved_pixels`."""
     rho, matrix = penalty * spectral.weight, spectral.symbol.clone()
     identity = torch.eye(len(matrix), dtype=matrix.dtype, device=matrix.device)
     matrix += rho * identity[:, :, None, None]
     if not spectral.by_row:
         matrix[:, :, 0, 0] += balance * spectral.weight * (identity - 1 / len(matrix))
-    return interleaved(gain * rho * inverse(matrix))
+    return gain * rho * inverse(matrix)
 
 
 def low(
@@ -304,7 +345,9 @@ def _low_blocks(
     ]
 
 
-def _size(matrix: Matrix) -> int:
+def _size(matrix: Matrix | Tensor) -> int:
+    if isinstance(matrix, Tensor):
+        return matrix.numel() * matrix.element_size()
     entries = {id(entry): entry for row in matrix for entry in row}
     return sum(entry.numel() * entry.element_size() for entry in entries.values())
 

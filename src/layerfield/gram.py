@@ -16,8 +16,16 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.band import ANY, Bounds, band_of
-from layerfield.frequencies import Spectral, fast_length, fast_width, interleaved, multiply
+from layerfield.frequencies import (
+    Spectral,
+    fast_length,
+    fast_on_gpu,
+    fast_width,
+    interleaved,
+    multiply,
+)
 from layerfield.kernels.compiled import serve
+from layerfield.kernels.gpu.serving import on_gpu
 from layerfield.kernels.strips import Sides, Strips, strips_of
 from layerfield.projection import Projection
 
@@ -52,16 +60,18 @@ class Gram:
         view_size: tuple[int, int],
         like: Tensor,
     ) -> None:
-        self.projection = projection
+        self.projection, self.view_size = projection, view_size
         self.weights = weights
         (height, width), (my, mx) = view_size, projection.margin
         self.layer_size = (height + 2 * my, width + 2 * mx)
         rows, columns = self.layer_size
+        on_processor = like.device.type == "cpu"
+        tall, wide = (fast_length, fast_width) if on_processor else (fast_on_gpu, fast_on_gpu)
         if projection.is_horizontal:  # rows whose ends see each other converge more slowly
             both_ends = 2 * (2 * mx)  # G reaches twice as far as a view
-            self.torus = (rows, fast_width(columns + both_ends))
+            self.torus = (rows, wide(columns + both_ends))
         else:
-            self.torus = (fast_length(rows), fast_width(columns))
+            self.torus = (tall(rows), wide(columns))
         self._like = like
         self._band = band_of(projection, weights, view_size, self.torus)
 
@@ -91,7 +101,13 @@ class Gram:
         self, result: Tensor, layers: Tensor, factor: float = 1.0, bounds: Bounds = ANY
     ) -> None:
         """Add a multiple of the band of `layers`, clamped, at the cost of the band alone."""
-        self._band.add_(result, layers, factor, bounds)
+        if on_gpu(result, layers) and type(self.projection) is Projection:
+            from layerfield.kernels.gpu.bands import add_band_  # noqa: PLC0415  needs Triton
+
+            given = self.projection, self.weights, self.view_size
+            add_band_(result, layers, factor, bounds, *given)
+        else:
+            self._band.add_(result, layers, factor, bounds)
 
     def strips(self, layers: Tensor, bounds: Bounds) -> Strips | None:
         """Return the band of layers, clamped, for compiled loops to add, or None."""

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from layerfield.kernels.codes import codes_of
 from layerfield.kernels.compiled import serve
+from layerfield.kernels.gpu.serving import on_gpu
 from layerfield.transfer import NONE, Transfer
 
 _DTYPES = {8: torch.uint8, 16: torch.uint16}
@@ -29,6 +30,10 @@ def quantise(
 ) -> UInt[Tensor, "*batch c y x"]:
     """Round layers, light from 0 to 1, to the nearest codes of a panel."""
     values = transfer.encode(layers)
+    if on_gpu(values):
+        from layerfield.kernels.gpu.codes import codes_of as codes_on_gpu  # noqa: PLC0415  needs Triton
+
+        return codes_on_gpu(values, largest_code(bits), _DTYPES[bits])
     if serve(values):
         return codes_of(values, largest_code(bits), _DTYPES[bits])
     codes = values * largest_code(bits)

@@ -8,7 +8,8 @@ several at once, and for single ones where somebody looks at what is between.
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext
+from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -24,6 +25,7 @@ from layerfield.display_constants import DisplayConstants, constants_of
 from layerfield.gram import Gram
 from layerfield.kept_views import KeptViews
 from layerfield.kernels.compiled import serve
+from layerfield.kernels.gpu.serving import on_gpu
 from layerfield.kernels.light_paths import LightPaths
 from layerfield.kernels.preparation import PREPARATION
 from layerfield.kernels.starts import shared_start
@@ -32,6 +34,7 @@ from layerfield.memory import keep_large_blocks
 from layerfield.pieces import Piece, pieces
 from layerfield.projection import Projection
 
+_WAITS = ContextVar("waits", default=True)  # a clock, for an accelerator
 _SEED = 0  # of what makes subframes differ
 _AT_ONCE = 10  # iterations at once: between them the keyboard can interrupt
 _LARGE = 1 << 20  # pixels of a layer from which on an iteration takes long, and a state much memory
@@ -198,6 +201,10 @@ class Problem:
         shares, rest = self.even_shares
         height, width = self.layer_shape[-2:]
         ty, tx = size or (height, width)
+        if on_gpu(self.back_projected):
+            from layerfield.kernels.gpu.blends import even_start  # noqa: PLC0415  needs Triton
+
+            return even_start(self.back_projected, shares, rest, (ty, tx))
         if serve(self.back_projected):
             return shared_start(self.back_projected, shares, rest, (ty, tx))
         start = torch.where(shares > 0, self.back_projected * shares, rest)
@@ -387,6 +394,19 @@ def _change(before: Tensor | None, problem: Problem, solver: Solver, state: Stat
     return (solver.layers(problem, state) - before).abs().max().item()
 
 
+@contextmanager
+def without_waiting() -> Iterator[None]:
+    """Let an accelerator work on one picture while the next is prepared, inside a `with`.
+
+    What is measured then, as `Solution.seconds`, ends when all is on its way, not when it is done.
+    """
+    before = _WAITS.set(False)
+    try:
+        yield
+    finally:
+        _WAITS.reset(before)
+
+
 class Clock:
     """Adds up the time spent inside it; waits for the accelerator where there is one.
 
@@ -411,6 +431,6 @@ class Clock:
             self.seconds += self._now() - self._entered
 
     def _now(self) -> float:
-        if self._device.type == "cuda":
+        if self._device.type == "cuda" and _WAITS.get():
             torch.cuda.synchronize(self._device)
         return time.perf_counter() - PREPARATION.seconds

@@ -1,6 +1,6 @@
 """The whole road that is timed: 8-bit views in memory to 8-bit layers in memory."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, UInt8
@@ -9,6 +9,7 @@ from torch import Tensor
 from layerfield.display import Display
 from layerfield.light_field import LightField
 from layerfield.panels import quantise
+from layerfield.solve import without_waiting
 from layerfield.synthesizer import synthesize
 
 BITS = 8
@@ -73,3 +74,33 @@ def views_to_panels(views: EightBitViews, display: Display, method: str, iterati
     field = views.light_field()
     layers = synthesize(field, display, method=method, iterations=iterations).layers
     return Panels(quantise(layers, BITS, display.transfer), layers)
+
+
+class RecordedRoad:
+    """The road for one display and size of views, recorded once on a GPU and played for all others.
+
+    A picture is then a single call: on the road itself, processors take longer to say what is to be
+    done than a large GPU takes to do it.
+
+    Args:
+        views: of that size, on the GPU.
+        display: as of `views_to_panels`, and the others.
+        method: as `synthesize` takes it.
+        iterations: of the method.
+    """
+
+    def __init__(
+        self, views: EightBitViews, display: Display, method: str, iterations: int
+    ) -> None:
+        self._views = replace(views, codes=views.codes.clone())
+        self._graph = torch.cuda.CUDAGraph()
+        given = self._views, display, method, iterations
+        views_to_panels(*given)  # what is kept of a display, and compiled, is found before
+        with without_waiting(), torch.cuda.graph(self._graph):
+            self._made = views_to_panels(*given)
+
+    def __call__(self, views: EightBitViews) -> Panels:
+        """Return the panels of other views; the next call writes on them."""
+        self._views.codes.copy_(views.codes)
+        self._graph.replay()
+        return self._made

@@ -7,12 +7,13 @@ written once. Divided by what a copy within the device's memory reaches, that is
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from itertools import cycle, islice
 from typing import Any
 
 import torch
 
-from layerfield.bench.road import EightBitViews, Panels, views_to_panels
+from layerfield.bench.road import EightBitViews, RecordedRoad, views_to_panels
 from layerfield.bench.timing import Seconds, once
 from layerfield.display import Display
 from layerfield.display_constants import constants_of
@@ -169,9 +170,6 @@ def run_stream(
         if error <= stream.quality:
             break
 
-    def one(each: EightBitViews) -> Panels:
-        return views_to_panels(each, display, name, iterations)
-
     def all_in_turn() -> None:
         for each in islice(cycle(views), stream.length):
             one(each)
@@ -179,6 +177,9 @@ def run_stream(
     constants_of.cache_clear()
     if device.type == "cuda":
         torch.cuda.reset_peak_memory_stats(device)
+        one = RecordedRoad(views[0], display, name, iterations)
+    else:
+        one = partial(views_to_panels, display=display, method=name, iterations=iterations)
     all_in_turn()
     peak = torch.cuda.max_memory_allocated(device) / 2**20 if device.type == "cuda" else None
     runs = [once(all_in_turn, device)[0] / stream.length for _ in range(stream.repeats)]

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.kernels.compiled import compiled, serve
+from layerfield.kernels.gpu.serving import on_gpu
 from layerfield.kernels.strips import NO_STRIPS, Strips, add_strips_to_row
 
 _NONE = np.zeros((0, 0, 0), np.float32)
@@ -72,6 +73,13 @@ class Blend:
         return Sum(shadow, added, strips, Shares._make(shares), *bounds)
 
     def _in_pytorch(self, onto: Tensor | None) -> Tensor:
+        if on_gpu(self.shadow, onto) and (self.other is None or on_gpu(self.other.detach())):
+            from layerfield.kernels.gpu.blends import blend_  # noqa: PLC0415  needs Triton
+
+            result = torch.empty_like(self.shadow) if onto is None else onto
+            given = self.shares, self.shadow, self.bounds, self.other
+            blend_(result, *given, onto=onto is not None)
+            return result
         shares, iterate = self.shares, self.shadow.clamp(*self.bounds)
         if onto is None:
             result = iterate.mul_(shares.iterate)

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from layerfield.kept_views import LARGEST, KeptViews
 from layerfield.kernels.compiled import compiled, is_plain, native
+from layerfield.kernels.gpu.serving import on_gpu
 from layerfield.links import Additive, Link, Multiplicative
 from layerfield.projection import Projection
 
@@ -99,7 +100,8 @@ class LightPaths:
     def serve(self, layers: Tensor) -> bool:
         """Whether `add_up_` can be called: a sum or a product, single precision, a processor.
 
-        Light paths go straight (no magnifications), and a subframe is all there is.
+        Or there is a GPU for kernels. Light paths go straight (no magnifications), and a subframe
+        is all there is.
         """
         stored, derivatives = self.views.stored, torch.is_grad_enabled()
         return (
@@ -107,7 +109,7 @@ class LightPaths:
             and type(self.projection) is Projection
             and isinstance(self.link, Additive | Multiplicative)
             and layers.shape[-5] == 1
-            and layers.device.type == "cpu"
+            and (layers.device.type == "cpu" or on_gpu(layers.detach()))
             and layers.dtype == self.views.like.dtype == torch.float32
             and not (derivatives and (layers.requires_grad or stored.requires_grad))
         )
@@ -144,6 +146,9 @@ class LightPaths:
         self._expect(first, end - begin)
         if not first.is_contiguous() or (second is not None and not second.is_contiguous()):
             raise ValueError("found sums that lie apart in memory, expected contiguous ones")
+        if on_gpu(layers.detach()):
+            self._add_up_on_gpu(first, layers, shares, second, only, error, every)
+            return
         batch, channels = math.prod(first.shape[:-5]), first.shape[-3]
         height, rows = self.views.stored.shape[-2], max(_ROWS, 2 * self.projection.margin[0] + 1)
         bands = math.ceil(height / rows)
@@ -165,6 +170,33 @@ class LightPaths:
             _add_bands.in_spans(*given, count=count, numbers=views.stored.size)
         if error is not None:
             error += torch.from_numpy(sums.errors.sum(axis=(1, 2))).to(error).view(error.shape)
+
+    def _add_up_on_gpu(
+        self,
+        first: Tensor,
+        layers: Tensor,
+        shares: Shares,
+        second: Tensor | None,
+        only: int | None,
+        error: Tensor | None,
+        every: int,
+    ) -> None:
+        from layerfield.kernels.gpu.light_paths import add_up, looked_up  # noqa: PLC0415  needs Triton
+
+        found = add_up(
+            self.projection,
+            looked_up(self.views),
+            self.weights,
+            first,
+            layers,
+            second,
+            (shares.shown, shares.light / self._unit),
+            0 if error is None else every,
+            is_product=isinstance(self.link, Multiplicative),
+            only=only,
+        )
+        if error is not None:
+            error += found.view(error.shape)
 
     def _expect(self, layers: Tensor, number: int) -> None:
         """Compiled loops would go past the end of smaller ones."""

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.kernels.compiled import compiled, serve
+from layerfield.kernels.gpu.serving import on_gpu
 
 Layers = Float[Tensor, "*batch 1 layer c ly lx"]
 Torus = Float[Tensor, "*batch 1 layer c ty tx"]
@@ -42,6 +43,8 @@ class Behind(NamedTuple):
 
 def serve_layers(*values: Tensor | None) -> bool:
     """Whether the passes can be called: as `serve`, and contiguous."""
+    if on_gpu(*values):
+        return True
     return serve(*values) and all(each is None or each.is_contiguous() for each in values)
 
 
@@ -66,6 +69,10 @@ def before(
     Raises:
         ValueError: there is neither.
     """
+    if on_gpu(shadow):
+        from layerfield.kernels.gpu.newton_passes import before as before_on_gpu  # noqa: PLC0415  needs Triton
+
+        return before_on_gpu(terms, shadow, slope, curvature, last, torus)
     scale, ago = (curvature, last) if curvature is not None else (last, last)
     if scale is None:
         raise ValueError("found neither curvature nor D of the step before")
@@ -99,6 +106,10 @@ def behind(
         solved: of the linear system.
         boldness: how far to go.
     """
+    if on_gpu(shadow):
+        from layerfield.kernels.gpu.newton_passes import behind as behind_on_gpu  # noqa: PLC0415  needs Triton
+
+        return behind_on_gpu(terms, shadow, last, dual, scale, solved, boldness)
     seen = [_planes(each) for each in (dual, shadow, scale, solved)]
     shares = boldness.expand(*shadow.shape[:-2], 1, 1).flatten().numpy()
     known, ago = Behind._make(map(np.float32, terms)), seen[1] if last is None else _planes(last)

@@ -21,6 +21,7 @@ from torch.nn.functional import (
 
 from layerfield.kernels.cells import APART, BEYOND, CELL, LEAK, SIGNS, Network, relieve_
 from layerfield.kernels.compiled import serve
+from layerfield.kernels.gpu.serving import on_gpu
 from layerfield.projection import sum_of
 
 
@@ -99,6 +100,13 @@ class Relief:
         """
         if serve(shadow, *self.tensors):
             relieve_(shadow, size, bounds, self.network, by_row=by_row)
+            return shadow
+        hidden, last = _for(self, shadow.device, shadow.dtype)
+        if on_gpu(shadow, last, *chain.from_iterable(hidden)):
+            from layerfield.kernels.gpu.relief import relieve_ as relieve_on_gpu  # noqa: PLC0415  needs Triton
+
+            planes = shadow.flatten(-3, -2).unsqueeze(-2) if by_row else shadow
+            relieve_on_gpu(planes, (1, size[1]) if by_row else size, bounds, hidden, last)
             return shadow
         if by_row:
             rows = shadow[..., : size[0], :].flatten(-3, -2).unsqueeze(-2)  # as colours are

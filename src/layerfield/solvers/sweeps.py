@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.kernels import sweep_passes
+from layerfield.kernels.compiled import serve
 from layerfield.kernels.light_paths import Shares
 from layerfield.solve import Problem
 
@@ -56,7 +57,7 @@ class Sweeps:
 
     def step(self, problem: Problem, state: SweepsState) -> SweepsState:
         layers = state.ahead.clone()
-        if _are_served(problem, layers, state.layers):
+        if _are_served(problem, layers, state.layers) and serve(layers):
             return self._step_compiled(problem, state, layers)
         for k in range(problem.layer_count):
             layers[..., k, :, :, :] = best_layer(problem, layers, k)

@@ -16,6 +16,7 @@ from layerfield.fast import Rows
 from layerfield.frequencies import (
     Matrix,
     Spectral,
+    interleaved,
     low_part,
     multiply,
     replace_low_part_,
@@ -229,7 +230,7 @@ def _solution(spectral: Spectral, right: Tensor, penalty: Tensor) -> Tensor:
 def _solved(spectral: Spectral, spectrum: Tensor, penalty: Tensor) -> Tensor:
     """Return the same of a spectrum."""
     rho = penalty * spectral.weight
-    matrix = resolvent(spectral, penalty.item(), BALANCE)
+    matrix = interleaved(resolvent(spectral, penalty.item(), BALANCE))
     return _Solve.apply(spectrum, rho, matrix) / rho
 
 

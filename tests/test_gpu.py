@@ -1,0 +1,250 @@
+"""Kernels for a GPU: the same as PyTorch's own operations.
+
+Where there is no GPU, Triton's interpreter runs them on the processor.
+"""
+
+import pytest
+import torch
+
+from layerfield import Display, Problem
+from layerfield.back_projection import back_projected
+from layerfield.bench.road import EightBitViews, RecordedRoad, views_to_panels
+from layerfield.bench.throughput import displays
+from layerfield.display_spec import parse_spec
+from layerfield.fast import shipped_steps
+from layerfield.kept_views import KeptViews
+from layerfield.kernels.blends import Blend, Shares
+from layerfield.kernels.compiled import plain
+from layerfield.kernels.gpu import serving
+from layerfield.panels import quantise
+from layerfield.projection import Projection
+from layerfield.scenes import procedural_light_field
+from layerfield.solve import solve
+from layerfield.solvers.newton_admm import NewtonAdmm, slope
+from layerfield.solvers.sweeps import best_layer
+from layerfield.synthesizer import SOLVERS
+from layerfield.transfer import NONE, Srgb
+
+pytest.importorskip("triton")
+DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
+SIZE = (6, 13)
+
+
+@pytest.fixture(autouse=True)
+def _kernels_serve(monkeypatch):
+    monkeypatch.setattr(serving, "DEVICES", {DEVICE})
+
+
+def posed(
+    link: str = "additive",
+    disparity: str = "[1, 0, -1]",
+    views: tuple[int, int] = (3, 3),
+    *,
+    batch: tuple[int, ...] = (),
+    size: tuple[int, int] = SIZE,
+    transfer: str = "none",
+    weights: list[float] | None = None,
+) -> Problem:
+    text = f'name = "d"\nlink = "{link}"\nviews = {list(views)}\ndisparity = {disparity}\n'
+    display = Display(parse_spec(f'{text}transfer = "{transfer}"', "a test"))
+    shape = (*batch, views[0] * views[1], 2, *size)
+    codes = drawn(shape, seed=3).mul(255).to(torch.uint8)
+    return Problem.of(display, KeptViews(codes), weights)
+
+
+def drawn(shape: tuple[int, ...], seed: int = 5) -> torch.Tensor:
+    return torch.rand(shape, generator=torch.Generator().manual_seed(seed)).to(DEVICE)
+
+
+def close(one: torch.Tensor, other: torch.Tensor, atol: float = 2e-5) -> None:
+    torch.testing.assert_close(one, other, rtol=0, atol=atol)
+
+
+WEIGHTS = [None, [1.0, 2.0, 0.0, 1.0, 3.0, 1.0, 1.0, 1.0, 0.5]]
+
+
+@pytest.mark.parametrize("weights", WEIGHTS)
+@pytest.mark.parametrize("transfer", ["none", "srgb"])
+@pytest.mark.parametrize("disparity", ["[1, 0, -1]", "[1.5, -0.25]"])
+def test_views_are_back_projected(disparity, transfer, weights):
+    batch = (2,) if weights else ()
+    problem = posed(disparity=disparity, batch=batch, transfer=transfer, weights=weights)
+    given = problem.projection, problem.views, problem.weights
+    with plain():
+        expected = back_projected(*given)
+    close(back_projected(*given), expected, 4e-3 if transfer == "srgb" else 2e-5)  # half precision
+
+
+@pytest.mark.parametrize("law", [None, torch.square])
+def test_views_of_16_bits_are_back_projected(law):
+    problem = posed(views=(2, 2))
+    views = KeptViews((problem.views.stored.to(torch.int32) * 257).to(torch.uint16))
+    given = problem.projection, views if law is None else views.then(law), problem.weights
+    with plain():
+        expected = back_projected(*given)
+    close(back_projected(*given), expected)
+
+
+def test_viewpoints_that_are_no_grid_are_back_projected():
+    shifts = tuple(((x, y), (-x, -y)) for x, y in [(1.0, 0.0), (0.0, 1.0), (-1.0, -1.0)])
+    projection, views = Projection(shifts, (1, 1)), KeptViews(drawn((3, 2, *SIZE)))
+    with plain():
+        expected = back_projected(projection, views, (1.0,) * 3)
+    close(back_projected(projection, views, (1.0,) * 3), expected)
+
+
+@pytest.mark.parametrize("weights", WEIGHTS)
+@pytest.mark.parametrize("link", ["additive", "multiplicative"])
+@pytest.mark.parametrize("disparity", ["[1, 0, -1]", "[1]"])
+def test_slopes(disparity, link, weights):
+    have_the_same_slopes(posed(link, disparity, batch=(2,), weights=weights))
+
+
+@pytest.mark.parametrize("link", ["additive", "multiplicative"])
+def test_slopes_between_pixels(link):
+    have_the_same_slopes(posed(link, "[1.5, -0.25]", (2, 2), size=(3, 9)))
+
+
+def have_the_same_slopes(problem: Problem) -> None:
+    count = problem.layer_shape[:-5]
+    layers = drawn(problem.layer_shape)
+    found = {}
+    for name in ("plain", "kernels"):
+        curvature, error = torch.empty_like(layers), layers.new_zeros(*count, 1, 1, 1, 1, 1)
+        if name == "plain":
+            with plain():
+                found[name] = slope(problem, layers, curvature, error), curvature, error
+        else:
+            found[name] = slope(problem, layers, curvature, error), curvature, error
+    for one, other in zip(*found.values(), strict=True):
+        close(one, other, 1e-3 if one.numel() < 3 else 2e-5)  # errors are sums over views
+
+
+def test_the_best_of_a_single_layer():
+    problem = posed("multiplicative")
+    layers = drawn(problem.layer_shape)
+    with plain():
+        expected = best_layer(problem, layers, 1)
+    close(best_layer(problem, layers, 1), expected)
+
+
+@pytest.mark.parametrize(
+    ("disparity", "views"), [("[1, 0, -1]", (3, 3)), ("[1.5, -1]", (3, 2)), ("[1, -1]", (1, 4))]
+)
+def test_the_band(disparity, views):
+    problem = posed(disparity=disparity, views=views)
+    gram = problem.gram
+    layers = drawn((1, problem.layer_count, 2, *gram.torus)) * 1.4 - 0.2
+    sums = [drawn(tuple(layers.shape), seed=7) for _ in range(2)]
+    with plain():
+        gram.add_band_(sums[0], layers, 0.7, (0.0, 1.0))
+    gram.add_band_(sums[1], layers, 0.7, (0.0, 1.0))
+    close(sums[1], sums[0])
+
+
+@pytest.mark.parametrize("onto", [False, True])
+@pytest.mark.parametrize("other", [None, (2, 3, 8, 30)])
+@pytest.mark.parametrize("shares", [Shares(0.4, 0.7, -2.0), Shares(0, 0, 1.5)])
+def test_blends(shares, other, onto):
+    shadow = drawn((2, 3, 12, 32)) * 2 - 0.5
+    blend = Blend(shares, shadow, (0.0, 1.0), None if other is None else drawn(other, seed=6))
+    under = [drawn((2, 3, 12, 32), seed=8) if onto else None for _ in range(2)]
+    with plain():
+        expected = blend.planes(under[0])
+    close(blend.planes(under[1]), expected)
+
+
+def test_the_balanced_start():
+    problem = posed(batch=(2,))
+    with plain():
+        expected = problem.even_start(problem.gram.torus)
+    close(problem.even_start(problem.gram.torus), expected)
+
+
+@pytest.mark.parametrize("views", [(3, 3), (1, 4)])
+def test_frequencies_are_solved(views):
+    spectral = posed(views=views).gram.spectral
+    spectrum = spectral.to_frequencies(drawn((2, 1, 3, 2, *spectral.torus)))
+    given = spectrum, 0.05, 0.003, 1.3, 0.2
+    with plain():
+        expected = spectral.solved_frequencies(*given)
+    close(
+        *(torch.view_as_real(each) for each in (spectral.solved_frequencies(*given), expected)),
+        atol=2e-4,
+    )
+
+
+@pytest.mark.parametrize("by_row", [False, True])
+def test_relief(by_row):
+    relief = shipped_steps("additive").steps[3].relief
+    assert relief is not None
+    shadow = (drawn((2, 1, 2, 1, 2 if by_row else 20, 24)) - 0.3) * 1.6
+    size = (2, 21) if by_row else (19, 21)
+    with plain():
+        expected = relief.relieve_(shadow.clone(), size, (-0.1, 1.0), by_row=by_row)
+    close(relief.relieve_(shadow.clone(), size, (-0.1, 1.0), by_row=by_row), expected)
+
+
+def test_newton_steps():
+    """Before the first D is unknown; it is found anew in the first three."""
+    problem = posed("multiplicative", "[1, -1]", (2, 2), size=(4, 9))
+    start = (drawn(problem.layer_shape) * 1.2 - 0.1).clamp(0, 1)  # many are at bounds
+    solver = NewtonAdmm()
+    state = solver.init(problem, start)
+    for _ in range(4):
+        with plain():
+            expected = solver.step(problem, state)
+        state = solver.step(problem, state)
+        close(state.shadow, expected.shadow, 1e-4)
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("transfer", [NONE, Srgb()])
+def test_codes(transfer, bits):
+    light = drawn((3, 5, 700)) * 1.2 - 0.1
+    light[0, 0, :4] = torch.tensor([0.5, 1.5, 2.5, 3.5]) / 255  # halves
+    with plain():
+        expected = quantise(light, bits, transfer)
+    assert torch.equal(quantise(light, bits, transfer), expected)
+
+
+@pytest.mark.skipif(DEVICE == "cpu", reason="the interpreter takes minutes")
+@pytest.mark.parametrize("transfer", ["none", "srgb"])
+@pytest.mark.parametrize("method", ["fast", "fourier-admm", "sweeps"])
+@pytest.mark.parametrize("link", ["additive", "multiplicative"])
+@pytest.mark.parametrize("views", [(3, 3), (1, 4)])
+def test_methods_make_the_same_layers(views, link, method, transfer):
+    problem, again = (
+        posed(link, views=views, batch=(2,), size=(96, 130), transfer=transfer) for _ in range(2)
+    )
+    if method == "fast":
+        solver = shipped_steps(link).solver(3)
+    else:
+        solver = SOLVERS[method].make(problem.link)
+    with plain():
+        expected = solve(again, solver, iterations=3).layers
+    found = solve(problem, solver, iterations=3).layers
+    # Views of a law are read in half precision, which a few pixels at the rim answer to.
+    assert (found - expected).abs().mean() < 2e-4
+    close(found, expected, 5e-2)
+
+
+@pytest.mark.skipif(DEVICE == "cpu", reason="there is no GPU")
+@pytest.mark.parametrize("display", displays())
+def test_a_recorded_road_is_the_road(display):
+    """For other views, too; the same views make the same panels again."""
+    fields = [procedural_light_field(size=(96, 130), seed=seed) for seed in range(3)]
+    views = [EightBitViews.of(field, DEVICE) for field in fields]
+    road = RecordedRoad(views[0], display, "fast", 3)
+    for each in (*views, views[0]):
+        assert torch.equal(road(each).codes, views_to_panels(each, display, "fast", 3).codes)
+
+
+def test_derivatives_are_left_to_pytorch():
+    problem = posed()
+    layers = drawn(problem.layer_shape).requires_grad_()
+    assert not serving.on_gpu(layers)
+    with torch.no_grad():
+        assert serving.on_gpu(layers)
+    assert not serving.on_gpu(layers.detach().double())
+    assert not serving.on_gpu(layers.detach().mT)

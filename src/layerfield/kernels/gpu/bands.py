@@ -9,12 +9,11 @@ A^T (1 - M) W A of any viewpoints; see `layerfield.band`.
 import math
 from collections.abc import Sequence
 
-import triton
 import triton.language as tl
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.kernels.gpu.kernel import kernel
+from layerfield.kernels.gpu.kernel import blocks, kernel
 from layerfield.kernels.gpu.light_paths import taps_on, weight_of, weights_on, window_of
 from layerfield.projection import Projection
 
@@ -41,7 +40,7 @@ def add_band_(
     if pixels == 0:
         return
     taps, pictures = taps_on(projection, layers.device), math.prod(layers.shape[:-4]) * channels
-    _add_band[triton.cdiv(pixels, _BLOCK), pictures, number](
+    _add_band[blocks(pixels, _BLOCK), pictures, number](
         result, layers, weights_on(tuple(weights), layers.device), *taps[:3], factor, *bounds,
         len(weights) // taps.together, channels, ty, tx, height, width, below, beside, pixels,
         VIEWS=taps.together, LAYERS=number, TAPS=taps.top.shape[-1], KNOWN=taps.rows, BLOCK=_BLOCK,

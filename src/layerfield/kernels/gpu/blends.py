@@ -3,19 +3,18 @@
 import math
 from collections.abc import Sequence
 
-import triton
 import triton.language as tl
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.kernels.gpu.kernel import kernel
+from layerfield.kernels.gpu.kernel import blocks, kernel
 
 BLOCK = 1024  # pixels of a row at once
 
 
 def rows_grid(planes: Tensor) -> tuple[int, int]:
     """Return a program for every row of all planes, and for every block of it."""
-    return math.prod(planes.shape[:-1]), triton.cdiv(planes.shape[-1], BLOCK)
+    return math.prod(planes.shape[:-1]), blocks(planes.shape[-1], BLOCK)
 
 
 def blend_(

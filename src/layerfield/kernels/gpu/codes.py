@@ -1,12 +1,11 @@
 """From light to codes of a panel, in one pass."""
 
 import torch
-import triton
 import triton.language as tl
 from jaxtyping import Float, UInt
 from torch import Tensor
 
-from layerfield.kernels.gpu.kernel import kernel
+from layerfield.kernels.gpu.kernel import blocks, kernel
 
 _BLOCK = 1024
 
@@ -17,7 +16,7 @@ def codes_of(
     """Return values from 0 to 1 as whole numbers up to the largest."""
     result = torch.empty(values.shape, dtype=dtype, device=values.device)
     count = values.numel()
-    _round[(triton.cdiv(count, _BLOCK),)](result, values, float(largest), count, BLOCK=_BLOCK)
+    _round[(blocks(count, _BLOCK),)](result, values, float(largest), count, BLOCK=_BLOCK)
     return result
 
 

@@ -17,13 +17,12 @@ from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import torch
-import triton
 import triton.language as tl
 from jaxtyping import Float, Num
 from torch import Tensor
 
 from layerfield.kept_views import KeptViews
-from layerfield.kernels.gpu.kernel import kernel
+from layerfield.kernels.gpu.kernel import blocks, kernel
 from layerfield.projection import Projection
 
 _WARPS = 4  # of a program
@@ -137,7 +136,7 @@ def add_up(
     number, (rows, columns) = layers.shape[-4], layers.shape[-2:]
     taps, weighed = taps_on(projection, stored.device), len({*weights}) > 1
     items = stored.numel() // (views * channels * height * width)
-    grid = (triton.cdiv(columns, _BLOCK), rows, items * channels)
+    grid = (blocks(columns, _BLOCK), rows, items * channels)
     errors = layers.new_zeros(grid[::-1]) if every else layers
     _add_up[grid](
         first, first if second is None else second, errors, layers, stored,
@@ -272,7 +271,7 @@ def looked_up(views: KeptViews) -> Num[Tensor, "*batch view c y x"]:
         stored, count, block = views.stored.contiguous(), views.stored.numel(), 1024
         dtype = torch.float16 if stored.dtype == torch.uint8 else torch.float32
         result = torch.empty(stored.shape, dtype=dtype, device=stored.device)
-        _look_up[triton.cdiv(count, block),](result, stored, views.table, count, BLOCK=block)
+        _look_up[blocks(count, block),](result, stored, views.table, count, BLOCK=block)
         _LOOKED_UP[views] = result
     return _LOOKED_UP[views]
 

@@ -10,14 +10,13 @@ Planes are `[item, layer, channel, y, x]`, those of cells the same with what is 
 import math
 from collections.abc import Sequence
 
-import triton
 import triton.language as tl
 from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.kernels.cells import APART, BEYOND, CELL, LEAK, SIGNS
 from layerfield.kernels.gpu.blends import BLOCK, rows_grid
-from layerfield.kernels.gpu.kernel import kernel
+from layerfield.kernels.gpu.kernel import blocks, kernel
 
 _CELLS = 128  # of a plane at once
 
@@ -40,23 +39,23 @@ def relieve_(
     """
     *_, layers, channels, rows, columns = shadow.shape
     planes, (height, width) = math.prod(shadow.shape[:-2]), size
-    down, across = triton.cdiv(height, CELL), triton.cdiv(width, CELL)
-    blocks, pictures = triton.cdiv(down * across, _CELLS), planes // layers
+    down, across = blocks(height, CELL), blocks(width, CELL)
+    parts, pictures = blocks(down * across, _CELLS), planes // layers
     seen = shadow.new_empty(planes, SIGNS, down, across)
-    _look[planes, blocks](
+    _look[planes, parts](
         seen, shadow, *bounds, rows, columns, height, width, down, across,
         CELL=CELL, APART=APART, SIGNS=SIGNS, BEYOND=BEYOND, CELLS=_CELLS,
     )  # fmt: skip
     for n, (own, common, bias) in enumerate(hidden):
         made = shadow.new_empty(planes, len(own), down, across)
-        _convolve[pictures, blocks, layers](
+        _convolve[pictures, parts, layers](
             made, seen, own, common, bias, channels, down, across, LAYERS=layers,
-            IN=own.shape[1], OUT=len(own), ROOM=triton.next_power_of_2(len(own)), LEAK=LEAK,
+            IN=own.shape[1], OUT=len(own), ROOM=2 ** math.ceil(math.log2(len(own))), LEAK=LEAK,
             RESIDUAL=n > 0, CELLS=_CELLS,
         )  # fmt: skip
         seen = made
     change = shadow.new_empty(planes, down, across)
-    _answer[pictures, blocks, layers](
+    _answer[pictures, parts, layers](
         change, seen, last, bounds[1] - bounds[0], channels, down, across,
         LAYERS=layers, IN=last.shape[1], CELLS=_CELLS,
     )  # fmt: skip

@@ -6,12 +6,11 @@
 import math
 
 import torch
-import triton
 import triton.language as tl
 from jaxtyping import Complex, Float
 from torch import Tensor
 
-from layerfield.kernels.gpu.kernel import kernel
+from layerfield.kernels.gpu.kernel import blocks, kernel
 
 _BLOCK = 1024  # real and imaginary parts
 
@@ -39,7 +38,7 @@ def multiply(
     given, made = (torch.view_as_real(each) for each in (spectrum, result))
     numbers, frequencies = 2 * rows * columns, entries[0].numel()
     pictures = math.prod(spectrum.shape[:-4]) * channels
-    _multiply[triton.cdiv(numbers, _BLOCK), pictures](
+    _multiply[blocks(numbers, _BLOCK), pictures](
         made, given, entries, kept, channels, numbers, frequencies,
         LAYERS=number, ONE_ROW=entries.shape[-2] < rows, BLOCK=_BLOCK,
     )  # fmt: skip

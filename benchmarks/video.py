@@ -28,12 +28,13 @@ from layerfield import (
     synthesize,
     synthesize_frames,
 )
+from layerfield.clock import Clock
 from layerfield.io import whole_file
 from layerfield.motion import block_motion
 from layerfield.provenance import provenance
 from layerfield.scenes import animated, make_scene, panned, render, travelled
 from layerfield.scenes.scene import EVERYWHERE
-from layerfield.solve import Clock, Problem
+from layerfield.solve import Problem
 from layerfield.solvers.fourier_admm import FourierAdmm
 from layerfield.solvers.warm_admm import Left, moved_start
 from layerfield.stream import seen_from_the_middle

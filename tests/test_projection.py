@@ -12,9 +12,10 @@ from naive import traced_view, view
 from layerfield import DisparitySpec, Display, Geometry, PhysicalSpec
 from layerfield.band import GridBand, ViewsBand, band_of
 from layerfield.composition import compose_views
-from layerfield.frequencies import fast_length, fast_width, interleaved, inverse, multiply
+from layerfield.frequencies import interleaved, inverse, multiply
 from layerfield.geometry import grid_points
 from layerfield.gram import Gram
+from layerfield.lengths import fast_length, fast_width
 from layerfield.links import LINKS
 from layerfield.projection import Projection
 

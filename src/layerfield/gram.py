@@ -16,17 +16,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.band import ANY, Bounds, band_of
-from layerfield.frequencies import (
-    Spectral,
-    fast_length,
-    fast_on_gpu,
-    fast_width,
-    interleaved,
-    multiply,
-)
+from layerfield.frequencies import Spectral, interleaved, multiply
 from layerfield.kernels.compiled import serve
 from layerfield.kernels.gpu.serving import on_gpu
 from layerfield.kernels.strips import Sides, Strips, strips_of
+from layerfield.lengths import fast_length, fast_on_gpu, fast_width
 from layerfield.projection import Projection
 
 

@@ -12,12 +12,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from layerfield.clock import Clock
 from layerfield.display import Display
 from layerfield.links import LINKS, Link
 from layerfield.networks import Network
 from layerfield.networks.frame import tiled_pixels
 from layerfield.shipped import Entry, find_shipped, load_shipped
-from layerfield.solve import Clock, Problem, Solution, Solver, State, solve
+from layerfield.solve import Problem, Solution, Solver, State, solve
 from layerfield.solvers.sweeps import Sweeps
 from layerfield.tone import on_values
 from layerfield.weights import TrainedNetwork, kept_weights

@@ -6,10 +6,8 @@ several at once, and for single ones where somebody looks at what is between.
 """
 
 import math
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
-from contextvars import ContextVar
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -19,6 +17,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.back_projection import back_projected
+from layerfield.clock import Clock
 from layerfield.composition import compose_view
 from layerfield.display import Display
 from layerfield.display_constants import DisplayConstants, constants_of
@@ -27,14 +26,12 @@ from layerfield.kept_views import KeptViews
 from layerfield.kernels.compiled import serve
 from layerfield.kernels.gpu.serving import on_gpu
 from layerfield.kernels.light_paths import LightPaths
-from layerfield.kernels.preparation import PREPARATION
 from layerfield.kernels.starts import shared_start
 from layerfield.links import Additive, Link
 from layerfield.memory import keep_large_blocks
 from layerfield.pieces import Piece, pieces
 from layerfield.projection import Projection
 
-_WAITS = ContextVar("waits", default=True)  # a clock, for an accelerator
 _SEED = 0  # of what makes subframes differ
 _AT_ONCE = 10  # iterations at once: between them the keyboard can interrupt
 _LARGE = 1 << 20  # pixels of a layer from which on an iteration takes long, and a state much memory
@@ -392,45 +389,3 @@ def _change(before: Tensor | None, problem: Problem, solver: Solver, state: Stat
     if before is None:
         return math.inf
     return (solver.layers(problem, state) - before).abs().max().item()
-
-
-@contextmanager
-def without_waiting() -> Iterator[None]:
-    """Let an accelerator work on one picture while the next is prepared, inside a `with`.
-
-    What is measured then, as `Solution.seconds`, ends when all is on its way, not when it is done.
-    """
-    before = _WAITS.set(False)
-    try:
-        yield
-    finally:
-        _WAITS.reset(before)
-
-
-class Clock:
-    """Adds up the time spent inside it; waits for the accelerator where there is one.
-
-    Inside itself it neither waits nor counts. What loops need before their first run is left out;
-    see `layerfield.kernels.preparation`.
-    """
-
-    def __init__(self, device: torch.device) -> None:
-        self.seconds = 0.0
-        self._device = device
-        self._entered = 0.0
-        self._depth = 0
-
-    def __enter__(self) -> None:
-        if self._depth == 0:
-            self._entered = self._now()
-        self._depth += 1
-
-    def __exit__(self, *exception: object) -> None:
-        self._depth -= 1
-        if self._depth == 0:
-            self.seconds += self._now() - self._entered
-
-    def _now(self) -> float:
-        if self._device.type == "cuda" and _WAITS.get():
-            torch.cuda.synchronize(self._device)
-        return time.perf_counter() - PREPARATION.seconds

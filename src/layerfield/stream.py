@@ -23,12 +23,13 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import pad
 
+from layerfield.clock import Clock
 from layerfield.display import Display
 from layerfield.fast import FastMethod, warm_steps
 from layerfield.light_field import LightField
 from layerfield.methods import Method, RunOptions, SolverMethod, ToneMethod
 from layerfield.motion import block_motion, comes_from_inside, moved
-from layerfield.solve import Clock, Problem, Solution, Solver
+from layerfield.solve import Problem, Solution, Solver
 from layerfield.solvers.fourier_admm import AdmmState
 from layerfield.solvers.fourier_start import FourierStart
 from layerfield.solvers.learned_admm import LearnedState

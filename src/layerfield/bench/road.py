@@ -6,10 +6,10 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from layerfield.clock import without_waiting
 from layerfield.display import Display
 from layerfield.light_field import LightField
 from layerfield.panels import quantise
-from layerfield.solve import without_waiting
 from layerfield.synthesizer import synthesize
 
 BITS = 8

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import torch
 
-from layerfield.solve import Clock
+from layerfield.clock import Clock
 
 Made = TypeVar("Made")
 

@@ -7,7 +7,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -69,16 +68,18 @@ def before(
     Raises:
         ValueError: there is neither.
     """
-    if on_gpu(shadow):
-        from layerfield.kernels.gpu.newton_passes import before as before_on_gpu  # noqa: PLC0415  needs Triton
-
-        return before_on_gpu(terms, shadow, slope, curvature, last, torus)
     scale, ago = (curvature, last) if curvature is not None else (last, last)
     if scale is None:
         raise ValueError("found neither curvature nor D of the step before")
-    right = torch.empty(*shadow.shape[:-2], *torus)
+    right = shadow.new_empty(*shadow.shape[:-2], *torus)
+    flags = curvature is not None, ago is None
+    if on_gpu(shadow):
+        from layerfield.kernels.gpu.newton_passes import before_  # noqa: PLC0415  needs Triton
+
+        before_(right, shadow, slope, scale, scale if ago is None else ago, terms, *flags)
+        return right, slope, scale
     seen = [_planes(each) for each in (right, shadow, slope, scale)]
-    known, flags = Before._make(map(np.float32, terms)), (curvature is not None, ago is None)
+    known = Before._make(map(np.float32, terms))
     before_it = seen[3] if ago is None else _planes(ago)
 
     count, numbers = seen[0].shape[0] * torus[0], seen[0].size
@@ -107,9 +108,10 @@ def behind(
         boldness: how far to go.
     """
     if on_gpu(shadow):
-        from layerfield.kernels.gpu.newton_passes import behind as behind_on_gpu  # noqa: PLC0415  needs Triton
+        from layerfield.kernels.gpu.newton_passes import behind_  # noqa: PLC0415  needs Triton
 
-        return behind_on_gpu(terms, shadow, last, dual, scale, solved, boldness)
+        behind_(dual, shadow, shadow if last is None else last, scale, solved, boldness, terms)
+        return dual
     seen = [_planes(each) for each in (dual, shadow, scale, solved)]
     shares = boldness.expand(*shadow.shape[:-2], 1, 1).flatten().numpy()
     known, ago = Behind._make(map(np.float32, terms)), seen[1] if last is None else _planes(last)

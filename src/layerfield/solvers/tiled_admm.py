@@ -7,8 +7,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.frequencies import Spectral, fast_length
+from layerfield.frequencies import Spectral
 from layerfield.gram import spectral_of
+from layerfield.lengths import fast_length
 from layerfield.solve import Problem
 from layerfield.solvers.fourier_admm import AdmmState, FourierAdmm, dual_at_bounds
 

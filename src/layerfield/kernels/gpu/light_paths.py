@@ -159,11 +159,8 @@ def _add_up(
     ERROR: tl.constexpr, WEIGHED: tl.constexpr, KNOWN: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
     """A block of a row of one channel of all layers that anything is found for."""
-    x, y, picture = (
-        tl.program_id(0) * BLOCK + tl.arange(0, BLOCK),
-        tl.program_id(1),
-        tl.program_id(2),
-    )
+    x = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
+    y, picture = tl.program_id(1), tl.program_id(2)
     item, channel = picture // channels, picture % channels
     pixels, behind, apart = rows * columns, channels * rows * columns, channels * height * width
     views = stored + (item * groups * VIEWS * channels + channel).to(tl.int64) * height * width
@@ -173,7 +170,7 @@ def _add_up(
     for k in tl.static_range(BEGIN, END):
         total, squares = tl.zeros([BLOCK], tl.float32), tl.zeros([BLOCK], tl.float32)
         mine, light = tl.zeros([BLOCK], tl.float32), views
-        if SHOWN:
+        if SHOWN and TAPS == 1:
             mine = tl.load(pixel + k * behind + x, x < columns, 0.0)
         for group in range(groups):
             for column in tl.static_range(VIEWS):
@@ -190,33 +187,10 @@ def _add_up(
                     value = tl.load(light + view_y * width - across + x, inside, 0)
                     residual = value.to(tl.float32)
                     if SHOWN:
-                        others, shown = tl.full([BLOCK], 1.0, tl.float32), mine
-                        for j in tl.static_range(LAYERS):
-                            if j != k or TAPS > 1:
-                                met = tl.zeros([BLOCK], tl.float32)
-                                for beside in tl.static_range(TAPS):
-                                    row, place = window_of(
-                                        top,
-                                        left,
-                                        group,
-                                        column,
-                                        VIEWS,
-                                        LAYERS,
-                                        TAPS,
-                                        j,
-                                        beside,
-                                        KNOWN,
-                                    )
-                                    moved = (row - down) * columns + place - across
-                                    seen = tl.load(pixel + j * behind + moved + x, inside, 0.0)
-                                    met += weight_of(weight, i, LAYERS, TAPS, j, beside) * seen
-                                if j == k:
-                                    shown += met - mine
-                                elif PRODUCT:
-                                    others *= met
-                                else:
-                                    shown += met
-                        shown *= others
+                        shown, others = _met(
+                            pixel + x, behind, columns, inside, mine, top, left, weight, group,
+                            column, k, down, across, VIEWS, LAYERS, TAPS, PRODUCT, KNOWN, BLOCK,
+                        )  # fmt: skip
                         residual = of_shown * shown + of_light * residual
                         if not PRODUCT or LAYERS == 1:  # of a product nothing is left outside
                             residual = tl.where(inside, residual, 0.0)
@@ -236,6 +210,34 @@ def _add_up(
     if ERROR:
         block = (picture * rows + y) * tl.num_programs(0) + tl.program_id(0)
         tl.store(errors + block, common * tl.sum(error))
+
+
+@kernel
+def _met(
+    pixel, behind, columns, inside, mine, top, left, weight, row, column: tl.constexpr,
+    k: tl.constexpr, down, across, VIEWS: tl.constexpr, LAYERS: tl.constexpr, TAPS: tl.constexpr,
+    PRODUCT: tl.constexpr, KNOWN: tl.constexpr, BLOCK: tl.constexpr,
+):  # fmt: skip
+    """What a view shows through the pixels of layer k, and what other layers multiply them by.
+
+    Pixels that are looked at as they are were read before: they are `mine`.
+    """
+    shown, others = mine, tl.full([BLOCK], 1.0, tl.float32)
+    for j in tl.static_range(LAYERS):
+        if j != k or TAPS > 1:
+            met = tl.zeros([BLOCK], tl.float32)
+            for tap in tl.static_range(TAPS):
+                below, beside = window_of(
+                    top, left, row, column, VIEWS, LAYERS, TAPS, j, tap, KNOWN
+                )  # fmt: skip
+                moved = (below - down) * columns + beside - across
+                value = tl.load(pixel + j * behind + moved, inside, 0.0)
+                met += weight_of(weight, row * VIEWS + column, LAYERS, TAPS, j, tap) * value
+            if PRODUCT and j != k:
+                others *= met
+            else:
+                shown += met
+    return shown * others, others
 
 
 @kernel

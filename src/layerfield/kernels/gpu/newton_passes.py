@@ -1,6 +1,7 @@
-"""What a Newton step is made of but slopes and its linear system; see `layerfield.kernels`."""
+"""What a Newton step is made of but slopes and its linear system; as `kernels.newton_passes`."""
 
-import torch
+from collections.abc import Sequence
+
 import triton.language as tl
 from jaxtyping import Float
 from torch import Tensor
@@ -8,66 +9,39 @@ from torch import Tensor
 from layerfield.kernels.gpu.blends import BLOCK, rows_grid
 from layerfield.kernels.gpu.kernel import kernel
 
-Layers = Float[Tensor, "*batch 1 layer c ly lx"]
-Torus = Float[Tensor, "*batch 1 layer c ty tx"]
 
-
-def before(
-    terms: tuple[float, ...],
-    shadow: Layers,
-    slope: Layers,
-    curvature: Layers | None,
-    last: Layers | None,
-    torus: tuple[int, int],
-) -> tuple[Torus, Layers, Layers]:
-    """Return the right-hand side, the dual, which is written into the slope, and D.
-
-    Args:
-        terms: as `kernels.newton_passes.Before`.
-        shadow: s.
-        slope: g.
-        curvature: that D follows from, which is written into it; without one D stays as it was.
-        last: D of the step before; without one the dual follows from the slope.
-        torus: its rows and columns.
-    """
-    scale = last if curvature is None else curvature
-    assert scale is not None
-    right = torch.empty(*shadow.shape[:-2], *torus, device=shadow.device)
-    ago = scale if last is None else last
+def before_(
+    right: Float[Tensor, "*batch ty tx"],
+    shadow: Float[Tensor, "*batch ly lx"],
+    slope: Float[Tensor, "*batch ly lx"],
+    scale: Float[Tensor, "*batch ly lx"],
+    last: Float[Tensor, "*batch ly lx"],
+    terms: Sequence[float],
+    is_new: bool,
+    is_first: bool,
+) -> None:
+    """Write the right-hand side, the dual into the slope, and D into the scale if that is new."""
     _before[rows_grid(right)](
-        right, shadow, slope, scale, ago, *terms, *torus, *shadow.shape[-2:],
-        NEW=curvature is not None, FIRST=last is None, BLOCK=BLOCK,
+        right, shadow, slope, scale, last, *terms, *right.shape[-2:], *shadow.shape[-2:],
+        NEW=is_new, FIRST=is_first, BLOCK=BLOCK,
     )  # fmt: skip
-    return right, slope, scale
 
 
-def behind(
-    terms: tuple[float, ...],
-    shadow: Layers,
-    last: Layers | None,
-    dual: Layers,
-    scale: Layers,
-    solved: Torus,
-    boldness: Float[Tensor, "*batch 1 1 1 1 1"],
-) -> Layers:
-    """Return s after the step, which is written into the dual.
-
-    Args:
-        terms: as `kernels.newton_passes.Behind`.
-        shadow: s.
-        last: s of one step ago.
-        dual: u.
-        scale: D.
-        solved: of the linear system.
-        boldness: how far to go.
-    """
-    ago = shadow if last is None else last
-    planes = shadow.shape[-5] * shadow.shape[-4] * shadow.shape[-3]
+def behind_(
+    dual: Float[Tensor, "*batch layer c ly lx"],
+    shadow: Float[Tensor, "*batch layer c ly lx"],
+    last: Float[Tensor, "*batch layer c ly lx"],
+    scale: Float[Tensor, "*batch layer c ly lx"],
+    solved: Float[Tensor, "*batch layer c ty tx"],
+    boldness: Float[Tensor, "*batch 1 1 1 1"],
+    terms: Sequence[float],
+) -> None:
+    """Write s after the step into the dual."""
+    planes = dual.shape[-4] * dual.shape[-3]
     _behind[rows_grid(dual)](
-        dual, shadow, ago, scale, solved, boldness, *terms, planes, *solved.shape[-2:],
+        dual, shadow, last, scale, solved, boldness, *terms, planes, *solved.shape[-2:],
         *dual.shape[-2:], BLOCK=BLOCK,
     )  # fmt: skip
-    return dual
 
 
 @kernel

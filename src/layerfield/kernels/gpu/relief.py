@@ -46,22 +46,19 @@ def relieve_(
         seen, shadow, *bounds, rows, columns, height, width, down, across,
         CELL=CELL, APART=APART, SIGNS=SIGNS, BEYOND=BEYOND, CELLS=_CELLS,
     )  # fmt: skip
-    for n, (own, common, bias) in enumerate(hidden):
-        made = shadow.new_empty(planes, len(own), down, across)
+    # The last takes the mean of all layers from each: common taps are its own with another sign.
+    for n, (own, common, bias) in enumerate([*hidden, (last, -last, last.new_zeros(1))]):
+        made, is_last = shadow.new_empty(planes, len(own), down, across), n == len(hidden)
         _convolve[pictures, parts, layers](
             made, seen, own, common, bias, channels, down, across, LAYERS=layers,
-            IN=own.shape[1], OUT=len(own), ROOM=2 ** math.ceil(math.log2(len(own))), LEAK=LEAK,
-            RESIDUAL=n > 0, CELLS=_CELLS,
+            IN=own.shape[1], OUT=len(own), ROOM=2 ** math.ceil(math.log2(len(own))),
+            LEAK=1.0 if is_last else LEAK, RESIDUAL=n > 0 and not is_last, CELLS=_CELLS,
         )  # fmt: skip
         seen = made
-    change = shadow.new_empty(planes, down, across)
-    _answer[pictures, parts, layers](
-        change, seen, last, bounds[1] - bounds[0], channels, down, across,
-        LAYERS=layers, IN=last.shape[1], CELLS=_CELLS,
-    )  # fmt: skip
     _add[rows_grid(shadow)](
-        shadow, change, rows, columns, height, width, down, across, CELL=CELL, BLOCK=BLOCK
-    )
+        shadow, seen, bounds[1] - bounds[0], rows, columns, height, width, down, across,
+        CELL=CELL, BLOCK=BLOCK,
+    )  # fmt: skip
 
 
 @kernel
@@ -138,36 +135,11 @@ def _convolve(
 
 
 @kernel
-def _answer(
-    result, seen, taps, width, channels, down, across, LAYERS: tl.constexpr,
-    IN: tl.constexpr, CELLS: tl.constexpr,
-):  # fmt: skip
-    """Cells of layer k, less the mean of all layers."""
-    n, k = tl.program_id(1) * CELLS + tl.arange(0, CELLS), tl.program_id(2)
-    item, channel = tl.program_id(0) // channels, tl.program_id(0) % channels
-    inside, cells = n < down * across, down * across
-    first, behind = item * LAYERS * channels + channel, channels * IN * cells
-    total = tl.zeros([CELLS], tl.float32)
-    for tap in range(9):
-        y = tl.minimum(tl.maximum(n // across + tap // 3 - 1, 0), down - 1)
-        x = tl.minimum(tl.maximum(n % across + tap % 3 - 1, 0), across - 1)
-        pixel = seen + first.to(tl.int64) * IN * cells + y * across + x
-        for i in tl.static_range(IN):
-            mean = tl.zeros([CELLS], tl.float32)
-            for layer in tl.static_range(LAYERS):
-                mean += tl.load(pixel + layer * behind + i * cells, inside, 0.0)
-            alone = tl.load(pixel + k * behind + i * cells, inside, 0.0)
-            total += tl.load(taps + i * 9 + tap) * (alone - mean / LAYERS)
-    plane = (first + k * channels).to(tl.int64) * cells
-    tl.store(result + plane + n, width * total, inside)
-
-
-@kernel
 def _add(
-    shadow, change, rows, columns, height, width, down, across,
+    shadow, change, share, rows, columns, height, width, down, across,
     CELL: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """Add the change of cells to pixels, between the middles of cells linearly."""
+    """Add a share of the change of cells to pixels, between the middles of cells linearly."""
     row, x = tl.program_id(0).to(tl.int64), tl.program_id(1) * BLOCK + tl.arange(0, BLOCK)
     plane, y = row // rows, row % rows
     beneath = x < tl.where(y < height, width, 0)
@@ -184,5 +156,5 @@ def _add(
     second = tl.load(lower + left, beneath, 0.0) * (1 - fx)
     second += tl.load(lower + right, beneath, 0.0) * fx
     pixel = shadow + row * columns + x
-    value = tl.load(pixel, beneath, 0.0) + first * (1 - fy) + second * fy
+    value = tl.load(pixel, beneath, 0.0) + share * (first * (1 - fy) + second * fy)
     tl.store(pixel, value, beneath)

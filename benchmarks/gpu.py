@@ -17,7 +17,6 @@ from pathlib import Path
 import torch
 
 from layerfield.bench.benchmark import made_on
-from layerfield.bench.records import write_record
 from layerfield.bench.throughput import (
     Stream,
     StreamRow,
@@ -28,12 +27,19 @@ from layerfield.bench.throughput import (
     run_stream,
     stream_lines,
 )
+from layerfield.cli.refusals import DEVICES, refuse_device
+from layerfield.io.safe_output import whole_file
+from layerfield.metrics import finite
 from layerfield.provenance import provenance
+from layerfield.synthesizer import find_method
 
 DEFAULT = ("fast", "fourier-admm")
 
 
 def main(out: Path, stream: Stream, methods: Sequence[str], device: torch.device) -> None:
+    refuse_device(device.type)
+    for name in methods:
+        find_method(name)
     (height, width), names = stream.size, ",".join(methods)
     views, bandwidth = pictures(stream, device), copy_bandwidth(device)
     facts = {
@@ -45,24 +51,37 @@ def main(out: Path, stream: Stream, methods: Sequence[str], device: torch.device
         "copy_bandwidth_gb_s": bandwidth / 1e9,
     }
     rows: list[StreamRow] = []
-    for display in displays():
-        best = references(views[: stream.judged], display)
-        for name in methods:
-            rows.append(run_stream(views, display, best, (name, stream.budgets), stream, bandwidth))
-            write_record(out, facts | {"rows": [row.as_record() for row in rows]})
-            print(json.dumps(rows[-1].as_record()), flush=True)
+    with whole_file(out, force=True) as path:  # refused, if it is, before minutes of work
+        for display in displays():
+            best = references(views[: stream.judged], display)
+            for name in methods:
+                how = name, stream.budgets
+                rows.append(run_stream(views, display, best, how, stream, bandwidth))
+                print(json.dumps(rows[-1].as_record()), flush=True)
+        record = facts | {"rows": [row.as_record() for row in rows]}
+        path.write_text(json.dumps(finite(record), indent=1, allow_nan=False) + "\n", "utf-8")
     print(f"{made_on(device)}, {bandwidth / 1e9:.0f} GB/s; floor: bytes that must move over that")
     for line in stream_lines(rows):
         print("  ".join(f"{cell:>14}" for cell in line))
 
 
+def _size(written: str) -> tuple[int, int]:
+    """Return height and width of WIDTHxHEIGHT."""
+    width, x, height = written.partition("x")
+    if not (x and width.isdecimal() and height.isdecimal()):
+        raise argparse.ArgumentTypeError(f"found '{written}', expected WIDTHxHEIGHT, as 1920x1080")
+    return int(height), int(width)
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("out", type=Path)
-    parser.add_argument("--device", default="cuda")
-    parser.add_argument("--size", default="1920x1080")
+    parser.add_argument("--device", choices=DEVICES, default="cuda")
+    parser.add_argument("--size", type=_size, default="1920x1080", metavar="WIDTHxHEIGHT")
     parser.add_argument("--methods", default=",".join(DEFAULT))
     given = parser.parse_args()
-    width, height = map(int, given.size.split("x"))
-    chosen = given.methods.split(",")
-    main(given.out, Stream(size=(height, width)), chosen, torch.device(given.device))
+    chosen, device = given.methods.split(","), torch.device(given.device)
+    try:
+        main(given.out, Stream(size=given.size), chosen, device)
+    except ValueError as error:
+        parser.error(str(error))

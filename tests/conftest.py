@@ -36,6 +36,12 @@ def _one_thread():
 
 
 @pytest.fixture(autouse=True)
+def _same_draws():
+    """What a test draws does not depend on those before it."""
+    torch.manual_seed(0)
+
+
+@pytest.fixture(autouse=True)
 def _check_shapes_anew():
     shape_checks.calls.clear()
 

@@ -12,11 +12,13 @@ import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
+from itertools import product
 from pathlib import Path
 
 import torch
 
 from layerfield.bench.benchmark import made_on
+from layerfield.bench.road import EightBitViews, refuse_unrecorded
 from layerfield.bench.throughput import (
     Stream,
     StreamRow,
@@ -36,12 +38,9 @@ from layerfield.synthesizer import find_method
 DEFAULT = ("fast", "fourier-admm")
 
 
-def main(out: Path, stream: Stream, methods: Sequence[str], device: torch.device) -> None:
-    refuse_device(device.type)
-    for name in methods:
-        find_method(name)
-    (height, width), names = stream.size, ",".join(methods)
-    views, bandwidth = pictures(stream, device), copy_bandwidth(device)
+def main(out: Path, stream: Stream, methods: Sequence[str], views: list[EightBitViews]) -> None:
+    (height, width), names, device = stream.size, ",".join(methods), views[0].codes.device
+    bandwidth = copy_bandwidth(device)
     facts = {
         "made_with": provenance(device),
         "command": f"python benchmarks/gpu.py {out.name} --device {device} "
@@ -51,18 +50,35 @@ def main(out: Path, stream: Stream, methods: Sequence[str], device: torch.device
         "copy_bandwidth_gb_s": bandwidth / 1e9,
     }
     rows: list[StreamRow] = []
-    with whole_file(out, force=True) as path:  # refused, if it is, before minutes of work
-        for display in displays():
-            best = references(views[: stream.judged], display)
-            for name in methods:
-                how = name, stream.budgets
-                rows.append(run_stream(views, display, best, how, stream, bandwidth))
-                print(json.dumps(rows[-1].as_record()), flush=True)
-        record = facts | {"rows": [row.as_record() for row in rows]}
-        path.write_text(json.dumps(finite(record), indent=1, allow_nan=False) + "\n", "utf-8")
+    for display in displays():
+        best = references(views[: stream.judged], display)
+        for name in methods:
+            how = name, stream.budgets
+            rows.append(run_stream(views, display, best, how, stream, bandwidth))
+            print(json.dumps(rows[-1].as_record()), flush=True)
+            record = facts | {"rows": [row.as_record() for row in rows]}
+            with whole_file(out, force=True) as path:
+                text = json.dumps(finite(record), indent=1, allow_nan=False)
+                path.write_text(text + "\n", "utf-8")
     print(f"{made_on(device)}, {bandwidth / 1e9:.0f} GB/s; floor: bytes that must move over that")
     for line in stream_lines(rows):
         print("  ".join(f"{cell:>14}" for cell in line))
+
+
+def refuse(out: Path, methods: Sequence[str], device: torch.device) -> None:
+    """Refuse what cannot be measured or written, before minutes of work.
+
+    Raises:
+        ValueError: a device that is not there, an unknown method or one that is not recorded, a
+            place where no file can be.
+    """
+    refuse_device(device.type)
+    for name, display in product(methods, displays()):
+        find_method(name)
+        if device.type == "cuda":
+            refuse_unrecorded(name, display)
+    if out.is_dir() or not out.parent.is_dir():
+        raise ValueError(f"{out} is a folder, or there is none for it; expected a file to write")
 
 
 def _size(written: str) -> tuple[int, int]:
@@ -81,7 +97,10 @@ if __name__ == "__main__":
     parser.add_argument("--methods", default=",".join(DEFAULT))
     given = parser.parse_args()
     chosen, device = given.methods.split(","), torch.device(given.device)
+    stream = Stream(size=given.size)
     try:
-        main(given.out, Stream(size=given.size), chosen, device)
+        refuse(given.out, chosen, device)
+        views = pictures(stream, device)
     except ValueError as error:
         parser.error(str(error))
+    main(given.out, stream, chosen, views)

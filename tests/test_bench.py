@@ -377,7 +377,7 @@ def test_the_gpu_benchmark_runs_at_a_tiny_size_on_a_cpu(tmp_path, capsys, monkey
     monkeypatch.setattr(gpu, "references", lambda *_: known)  # they take minutes
     monkeypatch.setattr(gpu, "copy_bandwidth", lambda _: 1e9)
     stream = Stream(size=(16, 24), pictures=1, length=1, repeats=1, budgets=(0, 1))
-    gpu.main(tmp_path / "gpu.json", stream, ["fourier-admm"], CPU)
+    gpu.main(tmp_path / "gpu.json", stream, ["fourier-admm"], pictures(stream, CPU))
     found = json.loads((tmp_path / "gpu.json").read_text())
     pairs = [(row["link"], row["transfer"]) for row in found["rows"]]
     assert pairs == [(k, t) for k in ("additive", "multiplicative") for t in ("none", "srgb")]

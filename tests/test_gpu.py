@@ -8,7 +8,7 @@ import torch
 
 from layerfield import Display, Problem
 from layerfield.back_projection import back_projected
-from layerfield.bench.road import EightBitViews, RecordedRoad, views_to_panels
+from layerfield.bench.road import EightBitViews, RecordedRoad, refuse_unrecorded, views_to_panels
 from layerfield.bench.throughput import displays
 from layerfield.display_spec import parse_spec
 from layerfield.fast import shipped_steps
@@ -229,17 +229,6 @@ def test_methods_make_the_same_layers(views, link, method, transfer):
     close(found, expected, 5e-2)
 
 
-@pytest.mark.skipif(DEVICE == "cpu", reason="there is no GPU")
-@pytest.mark.parametrize("display", displays())
-def test_a_recorded_road_is_the_road(display):
-    """For other views, too; the same views make the same panels again."""
-    fields = [procedural_light_field(size=(96, 130), seed=seed) for seed in range(3)]
-    views = [EightBitViews.of(field, DEVICE) for field in fields]
-    road = RecordedRoad(views[0], display, "fast", 3)
-    for each in (*views, views[0]):
-        assert torch.equal(road(each).codes, views_to_panels(each, display, "fast", 3).codes)
-
-
 def test_derivatives_are_left_to_pytorch():
     problem = posed()
     layers = drawn(problem.layer_shape).requires_grad_()
@@ -248,3 +237,31 @@ def test_derivatives_are_left_to_pytorch():
         assert serving.on_gpu(layers)
     assert not serving.on_gpu(layers.detach().double())
     assert not serving.on_gpu(layers.detach().mT)
+
+
+@pytest.mark.parametrize("method", ["unet", "fourier-tiles"])
+def test_methods_that_ask_the_processor_are_not_recorded(method):
+    with pytest.raises(ValueError, match=f"'{method}' asks the processor"):
+        refuse_unrecorded(method, displays()[0])
+
+
+def test_displays_that_ask_the_processor_are_not_recorded():
+    text = 'name = "d"\nlink = "multiplicative"\nviews = [3, 3]\ndisparity = [1, -1]\nsubframes = 2'
+    with pytest.raises(ValueError, match="'d' has 2 subframes"):
+        refuse_unrecorded("fast", Display(parse_spec(text, "a test")))
+
+
+# The last of all: where a recording fails, so does what follows in the same process.
+@pytest.mark.skipif(DEVICE == "cpu", reason="there is no GPU")
+@pytest.mark.parametrize("method", ["fast", "fourier-admm"])
+@pytest.mark.parametrize("display", displays())
+def test_a_recorded_road_is_the_road(display, method):
+    """For other views, too; the same views make the same panels again."""
+    fields = [procedural_light_field(size=(96, 130), seed=seed) for seed in range(3)]
+    views = [EightBitViews.of(field, DEVICE) for field in fields]
+    road = RecordedRoad(views[0], display, method, 3)
+    for each in (*views, views[0]):
+        assert torch.equal(road(each).codes, views_to_panels(each, display, method, 3).codes)
+    grey = EightBitViews(views[0].codes[:, :1], views[0].grid)
+    with pytest.raises(ValueError, match="recorded was"):
+        road(grey)

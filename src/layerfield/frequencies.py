@@ -168,6 +168,8 @@ class Spectral:
     ) -> Any:
         """Computed once for a penalty: it depends on the display alone.
 
+        A recording is given what was kept before it, or makes it anew whenever it is played.
+
         Args:
             penalty: as of `solved_pixels`, and the others.
             balance: share of the weight.
@@ -177,10 +179,18 @@ class Spectral:
         key = (penalty, balance, gain, written)
         if key not in self._kept:
             found = written(resolvent(self, penalty, balance, gain))
+            if self.symbol.is_cuda and torch.cuda.is_current_stream_capturing():
+                return found
             if sum(map(_size, self._kept.values())) + _size(found) > _MOST_KEPT:
                 self._kept.clear()
             self._kept[key] = found
         return self._kept[key]
+
+    @property
+    def kept(self) -> tuple[Any, ...]:
+        """What was computed once and is kept so far, for those who need it for longer."""
+        finer = tuple(self._kept.values())
+        return sum((each.kept for each in self._coarser.values()), finer)
 
     def coarser(self, times: int) -> "Spectral":
         """Return the same display seen with pixels larger so many times: its low frequencies.

@@ -9,8 +9,11 @@ from torch import Tensor
 from layerfield.clock import without_waiting
 from layerfield.display import Display
 from layerfield.light_field import LightField
+from layerfield.methods import SolverMethod
 from layerfield.panels import quantise
-from layerfield.synthesizer import synthesize
+from layerfield.solvers.tiled_admm import TiledAdmm
+from layerfield.synthesizer import find_method, pose, synthesize
+from layerfield.transfer import Curve, named
 
 BITS = 8
 
@@ -76,31 +79,67 @@ def views_to_panels(views: EightBitViews, display: Display, method: str, iterati
     return Panels(quantise(layers, BITS, display.transfer), layers)
 
 
+def refuse_unrecorded(method: str, display: Display) -> None:
+    """Refuse what asks the processor while a picture is made: that cannot be recorded.
+
+    Raises:
+        ValueError: a network or `fourier-tiles`, a display with subframes or a curve.
+    """
+    found = find_method(method)
+    solver = found.make(display.link) if isinstance(found, SolverMethod) else None
+    if solver is None or isinstance(solver, TiledAdmm):
+        raise ValueError(
+            f"'{method}' asks the processor while it makes a picture, so it cannot be recorded for "
+            "a GPU; expected a solver other than fourier-tiles"
+        )
+    if display.subframes > 1 or isinstance(display.transfer, Curve):
+        raise ValueError(
+            f"display '{display.name}' has {display.subframes} subframes and the transfer "
+            f"{named(display.transfer)}; recorded for a GPU are displays of one, without a curve"
+        )
+
+
 class RecordedRoad:
     """The road for one display and size of views, recorded once on a GPU and played for all others.
 
     A picture is then a single call: on the road itself, processors take longer to say what is to be
-    done than a large GPU takes to do it.
+    done than a large GPU takes to do it. What is known of the display is kept meanwhile.
 
     Args:
         views: of that size, on the GPU.
         display: as of `views_to_panels`, and the others.
         method: as `synthesize` takes it.
         iterations: of the method.
+
+    Raises:
+        ValueError: see `refuse_unrecorded`.
     """
 
     def __init__(
         self, views: EightBitViews, display: Display, method: str, iterations: int
     ) -> None:
+        refuse_unrecorded(method, display)
         self._views = replace(views, codes=views.codes.clone())
         self._graph = torch.cuda.CUDAGraph()
         given = self._views, display, method, iterations
         views_to_panels(*given)  # what is kept of a display, and compiled, is found before
+        constants = pose(views.light_field(), display).constants
+        self._kept = constants, constants.gram.spectral.kept
         with without_waiting(), torch.cuda.graph(self._graph):
             self._made = views_to_panels(*given)
 
     def __call__(self, views: EightBitViews) -> Panels:
-        """Return the panels of other views; the next call writes on them."""
+        """Return the panels of other views; the next call writes on them.
+
+        Raises:
+            ValueError: views of another shape, or of more bits.
+        """
+        expected, codes = self._views.codes, views.codes
+        if (codes.shape, codes.dtype) != (expected.shape, expected.dtype):
+            raise ValueError(
+                f"found views of shape {tuple(codes.shape)}, {codes.dtype}, recorded was "
+                f"{tuple(expected.shape)}, {expected.dtype}"
+            )
         self._views.codes.copy_(views.codes)
         self._graph.replay()
         return self._made

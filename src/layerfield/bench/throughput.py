@@ -5,7 +5,8 @@ written once. Divided by what a copy within the device's memory reaches, that is
 """
 
 import math
-from collections.abc import Sequence
+import statistics
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import cycle, islice
@@ -13,7 +14,7 @@ from typing import Any
 
 import torch
 
-from layerfield.bench.road import EightBitViews, RecordedRoad, views_to_panels
+from layerfield.bench.road import EightBitViews, Panels, RecordedRoad, views_to_panels
 from layerfield.bench.timing import Seconds, once
 from layerfield.display import Display
 from layerfield.display_constants import constants_of
@@ -27,6 +28,7 @@ from layerfield.transfer import NONE, Srgb, Transfer, named
 
 _COPY_BYTES = 2**28  # of the array that is copied to measure bandwidth
 _COPIES = 10
+Road = Callable[[EightBitViews], Panels]
 
 
 @dataclass(frozen=True)
@@ -136,7 +138,8 @@ def copy_bandwidth(device: torch.device, size: int = _COPY_BYTES) -> float:
             target.copy_(source)
 
     copies()
-    return 2 * size * _COPIES / once(copies, device)[0]
+    seconds = [once(copies, device)[0] for _ in range(_COPIES)]
+    return 2 * size * _COPIES / statistics.median(seconds)
 
 
 def references(views: Sequence[EightBitViews], display: Display) -> list[Reference]:
@@ -162,13 +165,17 @@ def run_stream(
         stream: how.
         bandwidth: of the device, bytes/s.
     """
-    name, tried = method
-    device, error, iterations = views[0].codes.device, math.inf, tried[-1]
-    for iterations in tried:
-        judged = zip(views[: len(best)], best, strict=True)
-        error = max(_excess(each, display, name, iterations, known) for each, known in judged)
-        if error <= stream.quality:
-            break
+    (name, tried), device = method, views[0].codes.device
+
+    def road(count: int) -> Road:
+        return partial(views_to_panels, display=display, method=name, iterations=count)
+
+    def error_of(one: Road) -> float:
+        judged = zip(views, best, strict=False)  # the first ones
+        return max(_excess(one(each), each, display, known) for each, known in judged)
+
+    reach = (count for count in tried if error_of(road(count)) <= stream.quality)
+    iterations = next(reach, tried[-1])
 
     def all_in_turn() -> None:
         for each in islice(cycle(views), stream.length):
@@ -179,9 +186,10 @@ def run_stream(
         torch.cuda.reset_peak_memory_stats(device)
         one = RecordedRoad(views[0], display, name, iterations)
     else:
-        one = partial(views_to_panels, display=display, method=name, iterations=iterations)
+        one = road(iterations)
     all_in_turn()
     peak = torch.cuda.max_memory_allocated(device) / 2**20 if device.type == "cuda" else None
+    error = error_of(one)  # of what is timed
     runs = [once(all_in_turn, device)[0] / stream.length for _ in range(stream.repeats)]
     single = [once(lambda v=v: one(v), device)[0] for v in islice(cycle(views), stream.length)]
     return StreamRow(
@@ -199,11 +207,8 @@ def run_stream(
     )
 
 
-def _excess(
-    views: EightBitViews, display: Display, method: str, iterations: int, best: Reference
-) -> float:
-    codes = views_to_panels(views, display, method, iterations).codes
-    shown = display(dequantise(codes, display.transfer))
+def _excess(panels: Panels, views: EightBitViews, display: Display, best: Reference) -> float:
+    shown = display(dequantise(panels.codes, display.transfer))
     light = display.transfer.decode(views.light_field().views)
     return excess(mean_square_error(shown, light), best.mean_square_error)
 

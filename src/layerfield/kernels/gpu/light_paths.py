@@ -11,7 +11,7 @@ each by itself: the order of sums, and with it what comes out, does not change f
 # Loops that are unrolled, over `static_range`, are for Triton alone to understand.
 
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import cache
 from itertools import chain
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
@@ -65,9 +65,9 @@ class Taps(NamedTuple):
         return 1 if self.rows is None else len(self.rows.left) // len(self.rows.top)
 
 
-@lru_cache(maxsize=16)
+@cache
 def taps_on(projection: Projection, device: torch.device) -> Taps:
-    """Return the windows of a projection."""
+    """Return the windows of a projection; kept for good, as what is recorded relies on them."""
     most = max(len(taps) for layers in projection.taps for taps in layers)
     windows = [
         window
@@ -99,9 +99,9 @@ def _rows_of(projection: Projection) -> Rows | None:
     return Rows(tuple(chain.from_iterable(lefts[:length])), tops[0], step)
 
 
-@lru_cache(maxsize=16)
+@cache
 def weights_on(weights: tuple[float, ...], device: torch.device) -> Tensor:
-    """Return the weights of the views there."""
+    """Return the weights of the views there; kept as windows are."""
     return torch.tensor(weights, device=device)
 
 

@@ -1,5 +1,6 @@
 """What is measured of one method, with one number of iterations, on one field and display."""
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -8,7 +9,7 @@ from torch import Tensor
 
 from layerfield.bench.operations import OperationCounter, TransformRecorder
 from layerfield.bench.road import EightBitViews, Panels, views_to_panels
-from layerfield.bench.timing import Seconds, timed
+from layerfield.bench.timing import Seconds, timed, timed_by_turns
 from layerfield.display import Display
 from layerfield.display_spec import Spec
 from layerfield.metrics import excess, mean_square_error, psnr
@@ -168,14 +169,22 @@ def measured(
         capped=seconds.median > effort.cap,
         operations=counter.operations,
         operations_per_pixel=counter.operations / views.codes[0].numel(),
-        transform_seconds=_transforms(recorder, device, effort),
+        transform_seconds=_transforms(recorder, run, seconds, device, effort),
     )
 
 
-def _transforms(recorder: TransformRecorder, device: torch.device, effort: Effort) -> float | None:
+def _transforms(
+    recorder: TransformRecorder,
+    run: Callable[[], Panels],
+    seconds: Seconds,
+    device: torch.device,
+    effort: Effort,
+) -> float | None:
+    """Return the seconds of a run's transforms alone: both by turns, their ratio is the point."""
     if not len(recorder):
         return None
-    return timed(recorder.again(), device, repeats=effort.repeats)[0].median
+    alone, (repeats, cap) = recorder.again(), (effort.repeats, effort.cap)
+    return seconds.median / timed_by_turns(run, alone, device, repeats=repeats, cap=cap)[1]
 
 
 def with_peak(row: BenchRow, views: EightBitViews, display: Display, method: str) -> BenchRow:

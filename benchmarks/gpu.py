@@ -18,6 +18,7 @@ from pathlib import Path
 import torch
 
 from layerfield.bench.benchmark import made_on
+from layerfield.bench.records import write_record
 from layerfield.bench.road import EightBitViews, refuse_unrecorded
 from layerfield.bench.throughput import (
     Stream,
@@ -30,8 +31,6 @@ from layerfield.bench.throughput import (
     stream_lines,
 )
 from layerfield.cli.refusals import DEVICES, refuse_device
-from layerfield.io.safe_output import whole_file
-from layerfield.metrics import finite
 from layerfield.provenance import provenance
 from layerfield.synthesizer import find_method
 
@@ -53,13 +52,9 @@ def main(out: Path, stream: Stream, methods: Sequence[str], views: list[EightBit
     for display in displays():
         best = references(views[: stream.judged], display)
         for name in methods:
-            how = name, stream.budgets
-            rows.append(run_stream(views, display, best, how, stream, bandwidth))
+            rows.append(run_stream(views, display, best, (name, stream.budgets), stream, bandwidth))
+            write_record(out, facts | {"rows": [row.as_record() for row in rows]})
             print(json.dumps(rows[-1].as_record()), flush=True)
-            record = facts | {"rows": [row.as_record() for row in rows]}
-            with whole_file(out, force=True) as path:
-                text = json.dumps(finite(record), indent=1, allow_nan=False)
-                path.write_text(text + "\n", "utf-8")
     print(f"{made_on(device)}, {bandwidth / 1e9:.0f} GB/s; floor: bytes that must move over that")
     for line in stream_lines(rows):
         print("  ".join(f"{cell:>14}" for cell in line))

@@ -180,7 +180,10 @@ def _transforms(
     device: torch.device,
     effort: Effort,
 ) -> float | None:
-    """Return the seconds of a run's transforms alone: both by turns, their ratio is the point."""
+    """Return the seconds of a run's transforms alone: both by turns, their ratio is the point.
+
+    The seconds of the run are those by itself, as of methods that have none.
+    """
     if not len(recorder):
         return None
     alone, (repeats, cap) = recorder.again(), (effort.repeats, effort.cap)

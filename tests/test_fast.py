@@ -20,6 +20,7 @@ from layerfield.training.learned_steps import LearnedSteps
 from layerfield.training.records import CHECKPOINT, RESULT, WEIGHTS
 
 LINKS = ("additive", "multiplicative")
+SHIPPED = (*LINKS, "multiplicative-rows", "additive-warm")
 TINY = """
 name = "tiny"
 solver = "fast"
@@ -177,16 +178,25 @@ def test_what_does_not_serve_is_one_line():
         synthesize(field, Display.load("polarisation-3"), method="fast")
 
 
-@pytest.mark.parametrize("link", LINKS)
-def test_the_steps_that_ship_are_small_and_say_what_they_are(link):
-    found = shipped_steps(link)
-    assert found.card.link == link
-    assert found.card.training["command"] == f"layerfield train fast-{link}"
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_steps_that_ship_are_small_and_say_what_they_are(name):
+    found = shipped_steps(name)
+    assert found.card.link == name.split("-")[0]
+    assert found.card.training["command"] == f"layerfield train fast-{name}"
 
 
-@pytest.mark.parametrize("link", LINKS)
-def test_a_file_of_learned_steps_is_read_as_it_was_written(tmp_path, link):
-    known = shipped_steps(link)
+def test_products_of_views_in_a_row_have_steps_of_their_own():
+    field = procedural_light_field(grid=(1, 9), size=(48, 200), disparity_range=(-2, 2), seed=4)
+    shown = display('link = "multiplicative"\nviews = [1, 9]\ndisparity = [1, 0.3, -0.5, -1]')
+    problem = pose(field, shown)
+    own = synthesize(field, shown, method="fast", iterations=2)
+    others = solve(problem, shipped_steps("multiplicative").solver(2), iterations=2)
+    assert problem.mean_square_error(own.layers) < problem.mean_square_error(others.layers)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_a_file_of_learned_steps_is_read_as_it_was_written(tmp_path, name):
+    known = shipped_steps(name)
     write_learned(tmp_path / "a.safetensors", known)
     again = read_learned(tmp_path / "a.safetensors")
     assert again.card == known.card

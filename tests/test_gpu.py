@@ -11,7 +11,7 @@ from layerfield.back_projection import back_projected
 from layerfield.bench.road import EightBitViews, RecordedRoad, refuse_unrecorded, views_to_panels
 from layerfield.bench.throughput import displays
 from layerfield.display_spec import parse_spec
-from layerfield.fast import shipped_steps
+from layerfield.fast import shipped_steps, steps_for
 from layerfield.kept_views import KeptViews
 from layerfield.kernels.blends import Blend, Shares
 from layerfield.kernels.compiled import plain
@@ -218,7 +218,7 @@ def test_methods_make_the_same_layers(views, link, method, transfer):
         posed(link, views=views, batch=(2,), size=(96, 130), transfer=transfer) for _ in range(2)
     )
     if method == "fast":
-        solver = shipped_steps(link).solver(3)
+        solver = steps_for(problem).solver(3)
     else:
         solver = SOLVERS[method].make(problem.link)
     with plain():

@@ -10,6 +10,7 @@ from layerfield import DisparitySpec, Display
 from layerfield.fast import Learned, LearnedCard, read_learned, write_learned
 from layerfield.kernels.cells import SIGNS
 from layerfield.kernels.compiled import plain
+from layerfield.links import Multiplicative
 from layerfield.solve import Problem, solve
 from layerfield.solvers.learned_admm import LearnedState
 from layerfield.solvers.relief import Relief, signs
@@ -18,6 +19,8 @@ from layerfield.training.steps import learn, lessons, problems
 from layerfield.training.steps_recipe import StepsRecipe, read_steps_recipe
 
 BOUNDS = (0.1, 0.9)
+OF_LOGARITHMS = (-math.inf, 0.0)
+of_both = pytest.mark.parametrize("logarithms", [False, True])
 each_grid = pytest.mark.parametrize("grid", [(5, 5), (1, 7)])  # there each row is by itself
 
 
@@ -41,14 +44,23 @@ def learned(steps: int) -> LearnedSteps:
 
 @pytest.mark.parametrize("by_row", [False, True])
 @pytest.mark.parametrize("size", [(40, 57), (16, 24), (3, 64), (1, 1)])
-def test_compiled_loops_do_what_the_formula_says(size, by_row):
+@pytest.mark.parametrize("bounds", [BOUNDS, OF_LOGARITHMS])
+def test_compiled_loops_do_what_the_formula_says(size, by_row, bounds):
     torus = size[0] + 3, size[1] + 5
-    shadow = 0.5 + 0.5 * torch.randn(2, 1, 3, 2, *torus)
-    found = network().relieve_(shadow.clone(), size, BOUNDS, by_row=by_row)
+    shadow = bounds[1] - 0.4 + 0.5 * torch.randn(2, 1, 3, 2, *torus)
+    found = network().relieve_(shadow.clone(), size, bounds, by_row=by_row)
     with plain():
         torch.testing.assert_close(
-            found, network().relieve_(shadow, size, BOUNDS, by_row=by_row), atol=2e-5, rtol=0
+            found, network().relieve_(shadow, size, bounds, by_row=by_row), atol=5e-5, rtol=0
         )
+
+
+def test_logarithms_have_a_least_for_the_network():
+    shadow = torch.randn(1, 3, 2, 24, 32) - 2
+    found = (
+        network().relieve_(shadow.clone(), (24, 32), each) for each in (OF_LOGARITHMS, (-3.0, 0.0))
+    )
+    assert torch.equal(*found)
 
 
 def test_the_layers_together_show_the_same_light():
@@ -80,9 +92,17 @@ def shown(views: tuple[int, int]) -> tuple[Display, torch.Tensor]:
     return display, torch.rand(math.prod(views), 2, 40, 57, dtype=torch.float64)
 
 
+def posed(display: Display, views: torch.Tensor, *, logarithms: bool) -> Problem:
+    problem = Problem.of(display, views)
+    if not logarithms:
+        return problem
+    return replace(problem, link=Multiplicative(darkest=0.05)).in_sum_domain()
+
+
 @each_grid
-def test_what_runs_is_what_is_trained(grid):
-    problem, model = Problem.of(*shown(grid)), learned(3)
+@of_both
+def test_what_runs_is_what_is_trained(grid, logarithms):
+    problem, model = posed(*shown(grid), logarithms=logarithms), learned(3)
     with torch.no_grad():
         made = solve(problem, model.rows().direct, iterations=3).layers
         without = solve(problem, replace(model.rows(), relief=None).direct, iterations=3).layers
@@ -91,15 +111,16 @@ def test_what_runs_is_what_is_trained(grid):
 
 
 @each_grid
-def test_light_of_double_precision_has_its_network(grid):
+@of_both
+def test_light_of_double_precision_has_its_network(grid, logarithms):
     (display, views), solver = shown(grid), learned(3).rows().direct
     made, fine = (
-        solve(Problem.of(display, each), solver, iterations=3).layers
+        solve(posed(display, each, logarithms=logarithms), solver, iterations=3).layers
         for each in (views.float(), views)
     )
     assert fine.dtype == torch.float64
-    # What single precision rounds away: up to 2e-5 in forty draws.
-    torch.testing.assert_close(made.double(), fine, atol=5e-5, rtol=0)
+    # What single precision rounds away: up to 4e-5 in fifty draws.
+    torch.testing.assert_close(made.double(), fine, atol=1e-4, rtol=0)
 
 
 def test_steps_one_by_one_are_those_made_at_once():
@@ -136,13 +157,10 @@ def test_a_file_holds_the_network(tmp_path):
     assert all(torch.equal(*pair) for pair in pairs)
 
 
-@pytest.mark.parametrize(
-    "other", [{"link": "multiplicative", "before": 6}, {"coarse": 0, "frames": 3}]
-)
-def test_recipes_with_a_network_are_for_single_pictures_that_add_up(other):
+def test_recipes_with_a_network_are_for_single_pictures():
     known = read_steps_recipe("fast-additive").model_dump(mode="json")
     with pytest.raises(ValueError, match="'relief' is 4, expected 0"):
-        StepsRecipe.model_validate(known | other)
+        StepsRecipe.model_validate(known | {"coarse": 0, "frames": 3})
 
 
 def test_videos_are_not_learned_from_in_batches():
@@ -159,11 +177,11 @@ def test_constants_come_first_and_scenes_in_batches():
     facts |= {"size": 48, "scenes": 1, "iterations": 3, "displays": grids, "then": [stage]}
     first, last = StepsRecipe.model_validate(facts).stages
     model = LearnedSteps(*last.rows(2))
-    posed = problems(last, "training")
-    assert [len(each.back_projected) for each in posed] == [2, 2, 2, 2, 1, 1]
-    assert [len(each.weights) for each in posed[:2]] == [25, 9]
+    given = problems(last, "training")
+    assert [len(each.back_projected) for each in given] == [2, 2, 2, 2, 1, 1]
+    assert [len(each.weights) for each in given[:2]] == [25, 9]
     before = [each.detach().clone() for each in model.relief]
-    learn(first, model, lessons(first, posed), lambda _: None)
+    learn(first, model, lessons(first, given), lambda _: None)
     assert all(map(torch.equal, before, model.relief))
-    learn(last, model, lessons(last, posed), lambda _: None)
+    learn(last, model, lessons(last, given), lambda _: None)
     assert not any(map(torch.equal, before, model.relief))

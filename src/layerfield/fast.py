@@ -159,9 +159,19 @@ def shipped_steps(name: str) -> Learned:
     """Return the learned steps that come with the package.
 
     Args:
-        name: the link; or `additive-warm`, see `warm_steps`.
+        name: the link; `additive-warm`, see `warm_steps`; `multiplicative-rows`, see `steps_for`.
     """
     return read_learned(TRAINED / f"fast-{name}{WEIGHT_SUFFIX}")
+
+
+def steps_for(problem: Problem) -> Learned:
+    """Return the learned steps for a display.
+
+    Where light is multiplied and views stand in a row there are others: rows of pixels that know
+    nothing of each other have little of large pixels, and take more steps on logarithms instead.
+    """
+    rows = problem.projection.is_horizontal and not problem.link.is_sum
+    return shipped_steps(f"{problem.link.name}-rows" if rows else problem.link.name)
 
 
 def warm_steps(count: int) -> WarmAdmm:
@@ -185,7 +195,7 @@ class FastMethod(SolverMethod):
         return cls("fast", "direct solver with learned steps", _STEPS, links, _learned)
 
     def run(self, problem: Problem, display: Display, options: RunOptions) -> Solution:
-        solver = shipped_steps(problem.link.name).solver(options.iterations)
+        solver = steps_for(problem).solver(options.iterations)
         if isinstance(solver, FourierNewton) and problem.subframes > 1:
             solver = solver.start
         return SolverMethod.run(replace(self, make=lambda _: solver), problem, display, options)

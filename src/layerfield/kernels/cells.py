@@ -18,6 +18,7 @@ CELL = 8  # pixels along the sides
 APART = 2  # so far up or down, and left or right, lie the windows of a cell
 SIGNS = 6  # what is known of a cell
 BEYOND = 10.0  # what goes beyond the bounds is small
+DEEPEST = 3.0  # logarithms have no least; of less than e^-3 viewers see nothing
 _SIDE = 2 * APART  # of what windows have in common
 _ROWS = 16  # of cells that a convolution goes over together
 LEAK = 0.1  # what is left of negative values between convolutions
@@ -65,6 +66,12 @@ _NO_TAPS = np.zeros((0, 0, 3, 3), np.float32)
 NO_NETWORK = Network((_NO_TAPS,) * 2, (_NO_TAPS,) * 2, (np.zeros(0, np.float32),) * 2, _NO_TAPS)
 
 
+def told(bounds: tuple[float, float]) -> tuple[float, float]:
+    """Return the bounds that a network is told of: no further apart than `DEEPEST`."""
+    low, high = bounds
+    return max(low, high - DEEPEST), high
+
+
 def relieve_(
     shadow: Float[Tensor, "*batch layer c ty tx"],
     size: tuple[int, int],
@@ -78,7 +85,7 @@ def relieve_(
     Args:
         shadow: s, contiguous, of single precision, on a processor.
         size: height and width of what has cells, in the top left corner.
-        bounds: of z.
+        bounds: of z, see `told`.
         network: of any number of channels.
         by_row: whether every row is solved by itself.
     """

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.kernels.blends import Sum, corners_of
-from layerfield.kernels.cells import NO_NETWORK, Network, relieve_picture
+from layerfield.kernels.cells import NO_NETWORK, Network, relieve_picture, told
 from layerfield.kernels.compiled import compiled
 from layerfield.kernels.planes import back, forth
 from layerfield.kernels.small_steps import (
@@ -108,6 +108,7 @@ class _First(NamedTuple):
         other: low frequencies, `[item, layer, channel, fy, 2 fx]`.
         window: shares of those.
         network: what changes s behind it, or `NO_NETWORK`.
+        bounds: that the network is told of.
         size: height and width of the layers.
     """
 
@@ -117,6 +118,7 @@ class _First(NamedTuple):
     other: np.ndarray
     window: np.ndarray
     network: Network
+    bounds: tuple[np.float32, np.float32]
     size: tuple[int, int]
 
 
@@ -195,6 +197,8 @@ def _first(
     shape: tuple[int, ...],
 ) -> _First:
     """Return a balanced start for compiled loops."""
+    system = first.coarse.system
+    bounds = told((float(system.low), float(system.high)))
     *batch, number, channels, height, half = _low(first, shape)
     return _First(
         is_here=True,
@@ -203,6 +207,7 @@ def _first(
         other=np.zeros((math.prod(batch), number, channels, height, 2 * half), np.float32),
         window=first.window.numpy(),
         network=first.network or NO_NETWORK,
+        bounds=(np.float32(bounds[0]), np.float32(bounds[1])),
         size=(data.shape[-2], data.shape[-1]),
     )
 
@@ -212,7 +217,8 @@ def _no_first(known: _Known) -> _First:
     shares, rows = np.zeros((0, 0, 0), np.float32), np.zeros((0, 0), np.float32)
     calls = known.forth, known.back
     steps = SmallSteps(known.system, rows, np.float32(1), NO_STRIPS, *calls)
-    return _First(False, Even(shares, rows), steps, known.other, known.window, NO_NETWORK, (0, 0))
+    even, bounds = Even(shares, rows), (known.system.low, known.system.high)
+    return _First(False, even, steps, known.other, known.window, NO_NETWORK, bounds, (0, 0))
 
 
 @lru_cache(maxsize=16)
@@ -299,9 +305,9 @@ def _make_steps(own, shadow, before, room, constants, known, start, tasks, begin
             _solve(made, known, start, row, begins, first, last)
         elif what == _RELIEVE:
             number, channels = made.shape[1:3]
-            bounds = system.low, system.high
+            size, bounds = start.size, start.bounds
             for colour in range(first, last):
-                relieve_picture(planes, colour, number, channels, start.size, bounds, start.network)
+                relieve_picture(planes, colour, number, channels, size, bounds, start.network)
         elif begins:
             for plane in range(first, last):
                 transform_one(planes[plane], known.back)

@@ -19,7 +19,7 @@ from torch.nn.functional import (
     relu,
 )
 
-from layerfield.kernels.cells import APART, BEYOND, CELL, LEAK, SIGNS, Network, relieve_
+from layerfield.kernels.cells import APART, BEYOND, CELL, LEAK, SIGNS, Network, relieve_, told
 from layerfield.kernels.compiled import serve
 from layerfield.kernels.gpu.serving import on_gpu
 from layerfield.projection import sum_of
@@ -54,7 +54,8 @@ class Relief:
         d_k = last * (h_k - mean_k h),   s <- s + d, between the middles of cells linearly
 
     All of it together sees the same light: sum_k d_k = 0. The network knows nothing of the display
-    nor of what is shown, so it serves any number of layers and any light.
+    nor of what is shown, so it serves any number of layers and any light. Logarithms have no low
+    bound; the network is told of one, below which nothing is seen (`told`).
 
     Args:
         hidden: all convolutions but the last.
@@ -95,9 +96,10 @@ class Relief:
         Args:
             shadow: s, contiguous, on a torus; the layers are in its top left corner.
             size: height and width of the layers.
-            bounds: of z.
+            bounds: of z; of logarithms the low one may be minus infinity, see `told`.
             by_row: every row is solved by itself, so it is a picture of its own.
         """
+        bounds = told(bounds)
         if serve(shadow, *self.tensors):
             relieve_(shadow, size, bounds, self.network, by_row=by_row)
             return shadow

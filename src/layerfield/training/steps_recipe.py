@@ -98,7 +98,7 @@ class StepsRecipe(Table):
     def rows(self, steps: int) -> tuple[int, int, int, int]:
         """Return what `LearnedSteps` is made with where so many steps are asked for."""
         if self.link == "multiplicative":
-            return self.before, self.coarse, steps, 0
+            return self.before, self.coarse, steps, self.relief
         return steps, self.coarse, 0, self.relief
 
     @property
@@ -130,10 +130,8 @@ class StepsRecipe(Table):
 
     @model_validator(mode="after")
     def _relief_where_pictures_start_anew(self):
-        if self.relief and (self.frames > 1 or self.link == "multiplicative"):
-            raise ValueError(
-                f"'relief' is {self.relief}, expected 0 for videos and where light is multiplied"
-            )
+        if self.relief and self.frames > 1:
+            raise ValueError(f"'relief' is {self.relief}, expected 0 for videos")
         return self
 
     @model_validator(mode="after")

@@ -151,12 +151,12 @@ def test_steps_of_many_layers_do_not_go_astray():
 def test_steps_that_raise_the_error_become_shorter():
     """All layers on one side of the display plane; steps as bold as at first lost 0.6 dB.
 
-    Six learned steps look to the error behind the sixth, not to those on the way.
+    Six learned steps look to the error behind the sixth: the second may raise it.
     """
     shown = display("views = [1, 9]\ndisparity = [-0.5, -1, -1.5, -2]\ntransfer = 'srgb'")
     problem = pose(procedural_light_field(size=(64, 96), grid=(1, 9), seed=2005), shown)
     errors, solver = [], steps_for(problem).solver(6)
-    for n in (1, 6, 12, 20):
+    for n in (1, 4, 6, 12, 20):
         errors.append(problem.mean_square_error(solve(problem, solver, iterations=n).layers))
     assert errors == sorted(errors, reverse=True)
     assert solve(problem, solver, iterations=12).state.boldness.item() < 1

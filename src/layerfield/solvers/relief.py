@@ -55,7 +55,7 @@ class Relief:
 
     All of it together sees the same light: sum_k d_k = 0. The network knows nothing of the display
     nor of what is shown, so it serves any number of layers and any light. Logarithms have no low
-    bound; the network is told of one, below which nothing is seen (`told`).
+    bound; the network is told of one, below which there is little to see (`told`).
 
     Args:
         hidden: all convolutions but the last.

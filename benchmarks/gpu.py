@@ -3,9 +3,9 @@
     python benchmarks/gpu.py OUT.json [--device cpu] [--size 96x64] [--methods fourier-admm]
 
 RGB, 3 layers, additive and multiplicative, values as they are and linear light; 8-bit views on the
-device to 8-bit layers on the device, with other views for every picture. Of every method the fewest
-iterations that come within 5 % excess of the reference on the first picture are timed. References
-take minutes, and are kept for the next run.
+device to 8-bit layers on the device, with other views for every picture, two of which are under way
+at a time (`--at-once`). Of every method the fewest iterations that come within 5 % excess of the
+reference on the first picture are timed. References take minutes, and are kept for the next run.
 """
 
 import argparse
@@ -43,7 +43,7 @@ def main(out: Path, stream: Stream, methods: Sequence[str], views: list[EightBit
     facts = {
         "made_with": provenance(device),
         "command": f"python benchmarks/gpu.py {out.name} --device {device} "
-        f"--size {width}x{height} --methods {names}",
+        f"--size {width}x{height} --methods {names} --at-once {stream.at_once}",
         "stream": asdict(stream),
         "views": [25, 3, *stream.size],
         "copy_bandwidth_gb_s": bandwidth / 1e9,
@@ -90,9 +90,10 @@ if __name__ == "__main__":
     parser.add_argument("--device", choices=DEVICES, default="cuda")
     parser.add_argument("--size", type=_size, default="1920x1080", metavar="WIDTHxHEIGHT")
     parser.add_argument("--methods", default=",".join(DEFAULT))
+    parser.add_argument("--at-once", type=int, default=Stream.at_once, metavar="N")
     given = parser.parse_args()
     chosen, device = given.methods.split(","), torch.device(given.device)
-    stream = Stream(size=given.size)
+    stream = Stream(size=given.size, at_once=max(1, given.at_once))
     try:
         refuse(given.out, chosen, device)
         views = pictures(stream, device)

@@ -8,7 +8,13 @@ import torch
 
 from layerfield import Display, Problem
 from layerfield.back_projection import back_projected
-from layerfield.bench.road import EightBitViews, RecordedRoad, refuse_unrecorded, views_to_panels
+from layerfield.bench.road import (
+    EightBitViews,
+    Pipeline,
+    RecordedRoad,
+    refuse_unrecorded,
+    views_to_panels,
+)
 from layerfield.bench.throughput import displays
 from layerfield.display_spec import parse_spec
 from layerfield.fast import shipped_steps, steps_for
@@ -26,6 +32,9 @@ from layerfield.synthesizer import SOLVERS
 from layerfield.transfer import NONE, Srgb
 
 pytest.importorskip("triton")
+from layerfield.kernels.gpu import colour_paths
+from layerfield.kernels.gpu.cufft import to_planes_
+
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 SIZE = (6, 13)
 
@@ -44,10 +53,11 @@ def posed(
     size: tuple[int, int] = SIZE,
     transfer: str = "none",
     weights: list[float] | None = None,
+    channels: int = 2,
 ) -> Problem:
     text = f'name = "d"\nlink = "{link}"\nviews = {list(views)}\ndisparity = {disparity}\n'
     display = Display(parse_spec(f'{text}transfer = "{transfer}"', "a test"))
-    shape = (*batch, views[0] * views[1], 2, *size)
+    shape = (*batch, views[0] * views[1], channels, *size)
     codes = drawn(shape, seed=3).mul(255).to(torch.uint8)
     return Problem.of(display, KeptViews(codes), weights)
 
@@ -161,6 +171,27 @@ def test_the_balanced_start():
     close(problem.even_start(problem.gram.torus), expected)
 
 
+def test_the_rim_of_the_balanced_start_is_all_that_its_band_depends_on():
+    problem = posed(views=(3, 3), batch=(2,))
+    gram = problem.gram
+    start = problem.even_start(gram.torus)
+    (height, width), (my, mx) = problem.view_size, problem.projection.margin
+    rim = problem.even_rim()
+    inner = slice(2 * my, height), slice(2 * mx, width)
+    rim[..., *inner] = start[..., *inner]
+    assert torch.equal(rim, start)
+    rim[..., *inner] = 7.0
+    assert torch.equal(gram.band(rim), gram.band(start))
+
+
+def test_layers_are_cut_out():
+    gram = posed(batch=(2,)).gram
+    planes = drawn((2, 1, 3, 2, *gram.torus)) * 2 - 0.5
+    assert torch.equal(
+        gram.clamped_from_torus(planes, (0.0, 1.0)), gram.from_torus(planes).clamp(0, 1)
+    )
+
+
 @pytest.mark.parametrize("views", [(3, 3), (1, 4)])
 def test_frequencies_are_solved(views):
     spectral = posed(views=views).gram.spectral
@@ -198,6 +229,44 @@ def test_newton_steps():
         close(state.shadow, expected.shadow, 1e-4)
 
 
+@pytest.mark.parametrize(
+    ("disparity", "views", "transfer", "weights"),
+    [
+        ("[1, 0, -1]", (3, 3), "none", None),
+        ("[1, 0, -1]", (3, 3), "srgb", WEIGHTS[1]),
+        ("[2, -1]", (1, 3), "none", [1.0, 0.0, 2.0]),
+    ],
+)
+def test_newton_steps_of_three_colours(disparity, views, transfer, weights):
+    """Half precision has 11 bits; a step divides by D, a tenth at the least."""
+    batch, size = (2,) if weights is None else (), (9, 41)
+    problem = posed(
+        "multiplicative", disparity, views, batch=batch, size=size, transfer=transfer,
+        weights=weights, channels=3,
+    )  # fmt: skip
+    assert colour_paths.serves(problem.projection, problem.views, problem.bounds)
+    start = (drawn(problem.layer_shape) * 1.2 - 0.1).clamp(0, 1)
+    solver = NewtonAdmm()
+    state = solver.init(problem, start)
+    for _ in range(4):
+        with plain():
+            expected = solver.step(problem, state)
+        state = solver.step(problem, state)
+        apart, known = (state.shadow - expected.shadow).abs(), expected.shadow.abs()
+        assert apart.mean() < 5e-4 * known.mean()
+        assert apart.max() < 2e-3 * known.max()
+        torch.testing.assert_close(state.scale, expected.scale, rtol=0, atol=5e-4)
+        torch.testing.assert_close(state.error, expected.error, rtol=5e-4, atol=0)
+
+
+def test_what_colours_do_not_serve():
+    grey, between = posed("multiplicative"), posed("multiplicative", "[1.5, -0.25]", channels=3)
+    for each in (grey, between):
+        assert not colour_paths.serves(each.projection, each.views, each.bounds)
+    colours = posed("multiplicative", channels=3)
+    assert not colour_paths.serves(colours.projection, colours.views, (0.0, 0.5))
+
+
 @pytest.mark.parametrize("bits", [8, 16])
 @pytest.mark.parametrize("transfer", [NONE, Srgb()])
 def test_codes(transfer, bits):
@@ -206,6 +275,16 @@ def test_codes(transfer, bits):
     with plain():
         expected = quantise(light, bits, transfer)
     assert torch.equal(quantise(light, bits, transfer), expected)
+
+
+@pytest.mark.skipif(DEVICE == "cpu", reason="there is no GPU")
+@pytest.mark.parametrize("by_row", [False, True])
+def test_cufft_makes_the_same_planes(by_row):
+    planes = drawn((2, 3, 24, 40))
+    spectrum = torch.fft.rfft(planes) if by_row else torch.fft.rfft2(planes)
+    made = to_planes_(spectrum, 40, by_row=by_row)
+    assert made is not None
+    close(made / (40 if by_row else 24 * 40), planes)
 
 
 @pytest.mark.skipif(DEVICE == "cpu", reason="the interpreter takes minutes")
@@ -262,6 +341,11 @@ def test_a_recorded_road_is_the_road(display, method):
     road = RecordedRoad(views[0], display, method, 3)
     for each in (*views, views[0]):
         assert torch.equal(road(each).codes, views_to_panels(each, display, method, 3).codes)
+    pipeline = Pipeline(views[0], display, method, 3, at_once=2)
+    made = [each.codes.clone() for each in pipeline.run(views)]
+    for each, codes in zip(views, made, strict=True):
+        assert torch.equal(codes, views_to_panels(each, display, method, 3).codes)
+        assert torch.equal(codes, pipeline(each).codes)
     grey = EightBitViews(views[0].codes[:, :1], views[0].grid)
     with pytest.raises(ValueError, match="recorded was"):
         road(grey)

@@ -68,6 +68,18 @@ class Spectral:
             return torch.fft.irfft(spectrum, n=self.torus[1], norm=norm)
         return torch.fft.irfft2(spectrum, s=self.torus, norm=norm)
 
+    def _to_pixels_(
+        self, spectrum: Complex[Tensor, "*batch c fy fx"]
+    ) -> Float[Tensor, "*batch c ty tx"]:
+        """Return the planes of a spectrum, without any factor; it may be written on."""
+        if spectrum.is_cuda and on_gpu(spectrum):
+            from layerfield.kernels.gpu.cufft import to_planes_  # noqa: PLC0415  as other kernels
+
+            planes = to_planes_(spectrum, self.torus[1], by_row=self.by_row)
+            if planes is not None:
+                return planes
+        return self.to_pixels(spectrum, norm="forward")
+
     def low_to_pixels(
         self, spectrum: Complex[Tensor, "*batch c fy fx"]
     ) -> Float[Tensor, "*batch c ty tx"]:
@@ -113,7 +125,7 @@ class Spectral:
             seen = self.solved_frequencies(seen, penalty, balance, gain * share, kept * share)
             if apart is not None and taken is not None:
                 replace_low_part_(seen, apart.solve(taken).mul_(share), apart.grid)
-            result = self.to_pixels(seen, norm="forward")
+            result = self._to_pixels_(seen)
             return result if added is None else added.planes(onto=result)
         pull, rho = 0 if self.by_row else balance * self.weight, penalty * self.weight
         terms = Terms(rho, pull, gain * rho, kept)

@@ -83,6 +83,16 @@ class Gram:
         """Cut the layers proper out of the torus."""
         return layers[..., : self.layer_size[0], : self.layer_size[1]]
 
+    def clamped_from_torus(
+        self, layers: Float[Tensor, "*batch ty tx"], bounds: Bounds
+    ) -> Float[Tensor, "*batch ly lx"]:
+        """Return the layers proper, clamped."""
+        if on_gpu(layers):
+            from layerfield.kernels.gpu.blends import cut  # noqa: PLC0415  needs Triton
+
+            return cut(layers, self.layer_size, bounds)
+        return self.from_torus(layers).clamp(*bounds)
+
     def band(
         self, layers: Float[Tensor, "*batch layer c ty tx"]
     ) -> Float[Tensor, "*batch layer c ty tx"]:

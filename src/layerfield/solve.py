@@ -34,7 +34,7 @@ from layerfield.projection import Projection
 
 _SEED = 0  # of what makes subframes differ
 _AT_ONCE = 10  # iterations at once: between them the keyboard can interrupt
-_LARGE = 1 << 20  # pixels of a layer from which on an iteration takes long, and a state much memory
+_LARGE = 1 << 20  # pixels of a layer from which on a processor takes long, and a state much memory
 APART = 0.05  # how much they differ; on procedural scenes sweeps ended higher the less they did
 
 
@@ -183,6 +183,20 @@ class Problem:
         first = self.back_projected[..., :1, :, :, :]
         rest = first.sum(dim=(-2, -1), keepdim=True) * self.constants.mean_share
         return self.constants.even_shares, rest
+
+    def even_rim(self) -> Float[Tensor, "*batch 1 layer c ty tx"]:
+        """Return the balanced start on the torus of `gram`, as far as its band depends on it.
+
+        On a GPU the other pixels are what was in memory; see `shared_rim` for compiled loops.
+        """
+        if not on_gpu(self.back_projected):
+            return self.even_start(self.gram.torus)
+        from layerfield.kernels.gpu.blends import even_start  # noqa: PLC0415  needs Triton
+
+        shares, rest = self.even_shares
+        (height, width), (my, mx) = self.view_size, self.projection.margin
+        inner = 2 * my, height, 2 * mx, width  # what no path meets that a view ends before
+        return even_start(self.back_projected, shares, rest, self.gram.torus, inner)
 
     def even_start(
         self, size: tuple[int, int] | None = None
@@ -334,7 +348,8 @@ def solve(
     records: list[Progress] = []
     status = f"stopped after the {iterations} iterations asked for"
     done = 0
-    one_by_one = watched or math.prod(problem.layer_shape[-2:]) >= _LARGE
+    is_large = math.prod(problem.layer_shape[-2:]) >= _LARGE and problem.device.type == "cpu"
+    one_by_one = watched or is_large
     several = solver if isinstance(solver, MultiStep) and not one_by_one else None
     # Where nobody looks at what is between, an accelerator is waited for once, not at every step.
     with nullcontext() if watched else clock:

@@ -1,5 +1,7 @@
 """The whole road that is timed: 8-bit views in memory to 8-bit layers in memory."""
 
+from collections import deque
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import torch
@@ -143,3 +145,67 @@ class RecordedRoad:
         self._views.codes.copy_(views.codes)
         self._graph.replay()
         return self._made
+
+
+class Pipeline:
+    """Recorded roads that take turns, each on a stream of its own.
+
+    A GPU begins a picture before the one before is done: coarse steps and networks are too small
+    to keep all of it busy.
+
+    Args:
+        views: of the size of all that follow, on the GPU.
+        display: as of `views_to_panels`, and the others.
+        method: as `synthesize` takes it.
+        iterations: of the method.
+        at_once: pictures that are under way together; each takes the memory of one.
+
+    Raises:
+        ValueError: see `refuse_unrecorded`.
+    """
+
+    def __init__(
+        self, views: EightBitViews, display: Display, method: str, iterations: int, at_once: int
+    ) -> None:
+        roads = [RecordedRoad(views, display, method, iterations) for _ in range(at_once)]
+        self._lanes = deque((road, torch.cuda.Stream(views.codes.device)) for road in roads)
+        self._under_way = deque[tuple[Panels, torch.cuda.Event]]()
+
+    def __call__(self, views: EightBitViews) -> Panels:
+        """Return the panels of a picture alone.
+
+        Raises:
+            ValueError: as of a `RecordedRoad`.
+        """
+        self._begin(views)
+        return self._end()
+
+    def run(self, pictures: Iterable[EightBitViews]) -> Iterator[Panels]:
+        """Yield the panels of pictures, in their order, for the current stream.
+
+        They are written on once so many more have been asked for as are under way together.
+
+        Raises:
+            ValueError: as of a `RecordedRoad`.
+        """
+        for views in pictures:
+            if len(self._under_way) == len(self._lanes):
+                yield self._end()
+            self._begin(views)
+        while self._under_way:
+            yield self._end()
+
+    def _begin(self, views: EightBitViews) -> None:
+        road, stream = self._lanes[0]
+        self._lanes.rotate(-1)
+        stream.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(stream):
+            panels, done = road(views), torch.cuda.Event()
+            done.record()
+        views.codes.record_stream(stream)
+        self._under_way.append((panels, done))
+
+    def _end(self) -> Panels:
+        panels, done = self._under_way.popleft()
+        torch.cuda.current_stream().wait_event(done)
+        return panels

@@ -6,6 +6,7 @@ written once. Divided by what a copy within the device's memory reaches, that is
 
 import math
 import statistics
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -14,7 +15,12 @@ from typing import Any
 
 import torch
 
-from layerfield.bench.road import EightBitViews, Panels, RecordedRoad, views_to_panels
+from layerfield.bench.road import (
+    EightBitViews,
+    Panels,
+    Pipeline,
+    views_to_panels,
+)
 from layerfield.bench.timing import Seconds, once
 from layerfield.display import Display
 from layerfield.display_constants import constants_of
@@ -43,6 +49,7 @@ class Stream:
         judged: how many of them quality is measured on; their references take minutes each.
         quality: the most excess error of the 8-bit layers, on the worst of those.
         budgets: numbers of iterations to try, increasing; the first that reaches it is timed.
+        at_once: pictures under way together on a GPU, see `Pipeline`.
     """
 
     size: tuple[int, int] = (1080, 1920)
@@ -52,6 +59,7 @@ class Stream:
     repeats: int = 5
     quality: float = 0.05
     budgets: Sequence[int] = (1, 2, 3, 4, 5, 6, 8, 10, 15, 20)
+    at_once: int = 2
 
 
 @dataclass(frozen=True)
@@ -66,8 +74,8 @@ class StreamRow:
         excess: of the 8-bit layers over the reference, on the worst of the judged pictures.
         reached: whether that is the quality asked for.
         reference: kind of what errors are compared with.
-        seconds: of a picture, one after the other without waiting, medians over runs.
-        latency: of a picture when the device is waited for after each.
+        seconds: of a picture of a stream, medians over runs.
+        latency: of a picture alone: the device is waited for after each.
         floor: seconds; see the top of this module.
         peak_mb: of the device's memory; None on a CPU.
     """
@@ -177,16 +185,18 @@ def run_stream(
     reach = (count for count in tried if error_of(road(count)) <= stream.quality)
     iterations = next(reach, tried[-1])
 
-    def all_in_turn() -> None:
-        for each in islice(cycle(views), stream.length):
-            one(each)
-
     constants_of.cache_clear()
     if device.type == "cuda":
         torch.cuda.reset_peak_memory_stats(device)
-        one = RecordedRoad(views[0], display, name, iterations)
+        one = Pipeline(views[0], display, name, iterations, stream.at_once)
+        several = one.run
     else:
         one = road(iterations)
+        several = partial(map, one)
+
+    def all_in_turn() -> None:
+        deque(several(islice(cycle(views), stream.length)), maxlen=0)
+
     all_in_turn()
     peak = torch.cuda.max_memory_allocated(device) / 2**20 if device.type == "cuda" else None
     error = error_of(one)  # of what is timed

@@ -12,6 +12,8 @@ from torch import Tensor
 
 from layerfield.kernels.compiled import compiled, serve
 from layerfield.kernels.gpu.serving import on_gpu
+from layerfield.kernels.light_paths import LightPaths
+from layerfield.links import Multiplicative
 
 Layers = Float[Tensor, "*batch 1 layer c ly lx"]
 Torus = Float[Tensor, "*batch 1 layer c ty tx"]
@@ -40,11 +42,49 @@ class Behind(NamedTuple):
     high: float
 
 
+class Asked(NamedTuple):
+    """Rows and columns of the torus, how many views there are to one of the error, and what of D.
+
+    `is_new`: it is found anew.
+    """
+
+    torus: tuple[int, int]
+    every: int
+    is_new: bool
+
+
 def serve_layers(*values: Tensor | None) -> bool:
     """Whether the passes can be called: as `serve`, and contiguous."""
     if on_gpu(*values):
         return True
     return serve(*values) and all(each is None or each.is_contiguous() for each in values)
+
+
+def before_from_views(
+    paths: LightPaths, terms: Before, shadow: Layers, last: Layers | None, asked: Asked
+) -> tuple[Torus, Layers, Layers, Float[Tensor, "*batch 1 1 1 1 1"]] | None:
+    """Return what `before` does and the error of the iterate, with slopes found on the way.
+
+    None where that is not served: it is on a GPU, of 8-bit views of three colours whose light is
+    multiplied.
+
+    Args:
+        paths: from the layers to the views.
+        terms: of the right-hand side.
+        shadow: s.
+        last: D of the step before.
+        asked: the rest.
+    """
+    product = isinstance(paths.link, Multiplicative)
+    if not (product and paths.serve(shadow) and on_gpu(shadow, last)):
+        return None
+    from layerfield.kernels.gpu.colour_paths import right_hand_side, serves  # noqa: PLC0415  needs Triton
+
+    if not serves(paths.projection, paths.views, (terms.low, terms.high)):
+        return None
+    given = paths.projection, paths.views, paths.weights, shadow, last, terms
+    right, dual, scale, error = right_hand_side(*given, *asked[:2], is_new=asked.is_new)
+    return right, dual, scale, error.view(*shadow.shape[:-5], 1, 1, 1, 1, 1)
 
 
 def before(

@@ -81,7 +81,7 @@ class FourierAdmm:
         return problem.gram.from_torus(spectral.solved_pixels(right, state.penalty, self.balance))
 
     def layers(self, problem: Problem, state: AdmmState) -> Float[Tensor, "*batch 1 layer c ly lx"]:
-        return problem.gram.from_torus(state.shadow).clamp(*problem.bounds)
+        return problem.gram.clamped_from_torus(state.shadow, problem.bounds)
 
 
 def _dual(problem: Problem, iterate: Tensor, rho: float) -> Tensor:

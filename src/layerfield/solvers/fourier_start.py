@@ -43,12 +43,16 @@ class FourierStart:
         return cls(FourierAdmm(penalty=0.02), direct_iterations=40) if link.bend else cls()
 
     def init(self, problem: Problem, start: SweepsState | Tensor | None) -> SweepsState:
-        if start is not None:
-            return self.refine.init(problem, start)
+        return self.refine.init(problem, self.begun(problem) if start is None else start)
+
+    def begun(self, problem: Problem) -> Float[Tensor, "*batch subframe layer c ly lx"]:
+        """Return the start: what sweeps go on from."""
         known = replace(problem, link=self.nearly or problem.link)
         direct = solve(known.in_sum_domain(), self.direct, iterations=self.direct_iterations)
-        layers = problem.link.from_sum(direct.layers).clamp(*problem.bounds)
-        return self.refine.init(problem, problem.in_subframes(layers))
+        layers = problem.link.from_sum(direct.layers)  # from 0 to 1
+        if problem.bounds != (0.0, 1.0):
+            layers = layers.clamp(*problem.bounds)
+        return problem.in_subframes(layers)
 
     def step(self, problem: Problem, state: SweepsState) -> SweepsState:
         return self.refine.step(problem, state)

@@ -123,7 +123,7 @@ class LearnedAdmm:
     ) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         if isinstance(state, Unbegun):
             return problem.even_start().clamp(*problem.bounds)
-        return problem.gram.from_torus(state.shadow).clamp(*problem.bounds)
+        return problem.gram.clamped_from_torus(state.shadow, problem.bounds)
 
     def _from_start(
         self, problem: Problem, rows: Sequence[Constants]
@@ -169,7 +169,7 @@ class LearnedAdmm:
         """Return the balanced start, of which no more is needed here than what strips show."""
         gram, data = problem.gram, problem.back_projected
         if gram.sides is None or not gram.spectral.serves(data):
-            return problem.even_start(gram.torus)
+            return problem.even_rim()
         return shared_rim(data, *problem.even_shares, gram.torus, gram.sides)
 
     def _coarse(self, grid: Spectral, bounds: tuple[float, float]) -> Coarse:

@@ -76,12 +76,8 @@ class NewtonAdmm:
 
     def step(self, problem: Problem, state: NewtonState) -> NewtonState:
         known = self._constants(state.count, problem.layer_count)
-        spectral, iterate = problem.gram.spectral, state.shadow.clamp(*problem.bounds)
-        error = iterate.new_zeros(*iterate.shape[:-5], 1, 1, 1, 1, 1)
-        curvature = iterate.new_empty(iterate.shape) if renews_scale(state.count) else None
-        found = slope(problem, iterate, curvature, error)
-        right, dual, scale = _right_hand_side(problem, state, found, curvature, known)
-        del iterate, found, curvature
+        spectral = problem.gram.spectral
+        right, dual, scale, error = _right_hand_side(problem, state, known)
         solved = spectral.solved_pixels(right, known.penalty, BALANCE, gain=-known.relaxation)
         boldness, made = _boldness(state, error), state.count + 1
         moved = _moved(problem, state, dual, scale, solved, boldness, known)
@@ -120,7 +116,7 @@ class FourierNewton:
 
     def init(self, problem: Problem, start: NewtonState | Tensor | None) -> NewtonState:
         if start is None:
-            start = self.start.layers(problem, self.start.init(problem, None))
+            start = self.start.begun(problem)
         return self.newton.init(problem, start)
 
     def step(self, problem: Problem, state: NewtonState) -> NewtonState:
@@ -148,7 +144,7 @@ def slope(
             tell whether it grows.
     """
     projection, link, paths = problem.projection, problem.link, problem.light_paths
-    result, every = layers.new_empty(layers.shape), max(1, len(problem.weights) // _TELLING)
+    result, every = layers.new_empty(layers.shape), _every(problem)
     if paths.serve(layers):
         paths.add_up_(result, layers, second=curvature, error=error, every=every)
         return result
@@ -177,30 +173,41 @@ def slope(
     return result
 
 
-def _right_hand_side(
-    problem: Problem, state: NewtonState, slope: Tensor, curvature: Tensor | None, known: Constants
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Return (D^-1 g + rho trust D u) / rho on the torus, u, and D; what is given is written on.
+def _every(problem: Problem) -> int:
+    """Return how many views there are to one whose error is found."""
+    return max(1, len(problem.weights) // _TELLING)
 
-    D is that of the curvature, or without one that of the step before.
-    """
+
+def _right_hand_side(
+    problem: Problem, state: NewtonState, known: Constants
+) -> tuple[Tensor, Tensor, Tensor, Float[Tensor, "*batch 1 1 1 1 1"]]:
+    """Return (D^-1 g + rho trust D u) / rho on the torus, u, D, and the error of the iterate."""
     gram, (low, high) = problem.gram, problem.bounds
     rho, weight = known.penalty * gram.spectral.weight, gram.spectral.weight
-    if newton_passes.serve_layers(state.shadow, slope, curvature, state.scale):
-        terms = newton_passes.Before(rho, known.trust, low, high, weight, _LEAST)
-        given = state.shadow, slope, curvature, state.scale
-        return newton_passes.before(terms, *given, gram.torus)
+    terms = newton_passes.Before(rho, known.trust, low, high, weight, _LEAST)
+    is_new, last = renews_scale(state.count), (state.shadow, state.scale)
+    asked = newton_passes.Asked(gram.torus, _every(problem), is_new)
+    if made := newton_passes.before_from_views(problem.light_paths, terms, *last, asked):
+        return made
+    iterate = state.shadow.clamp(low, high)
+    error = iterate.new_zeros(*iterate.shape[:-5], 1, 1, 1, 1, 1)
+    curvature = iterate.new_empty(iterate.shape) if is_new else None
+    found = slope(problem, iterate, curvature, error)
+    del iterate
+    if newton_passes.serve_layers(state.shadow, found, curvature, state.scale):
+        given = state.shadow, found, curvature, state.scale
+        return *newton_passes.before(terms, *given, gram.torus), error
     scale = state.scale if curvature is None else scale_of(curvature, weight)
     assert scale is not None
     iterate = state.shadow.clamp(low, high)
     if state.scale is None:
-        dual = dual_at_bounds(iterate, slope, problem.bounds, rho * scale.square())
+        dual = dual_at_bounds(iterate, found, problem.bounds, rho * scale.square())
     else:
         dual = state.shadow - iterate
         if scale is not state.scale:
             dual *= (state.scale / scale).square_()  # of the same force, rho D^2 u
-    right = slope.div_(scale).div_(rho).addcmul_(dual, scale, value=known.trust)
-    return gram.to_torus(right), dual, scale
+    right = found.div_(scale).div_(rho).addcmul_(dual, scale, value=known.trust)
+    return gram.to_torus(right), dual, scale, error
 
 
 def _moved(

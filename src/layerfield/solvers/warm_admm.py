@@ -69,7 +69,7 @@ class WarmAdmm:
     def layers(
         self, problem: Problem, state: LearnedState
     ) -> Float[Tensor, "*batch 1 layer c ly lx"]:
-        return problem.gram.from_torus(state.shadow).clamp(*problem.bounds)
+        return problem.gram.clamped_from_torus(state.shadow, problem.bounds)
 
 
 class Left(NamedTuple):

@@ -17,8 +17,8 @@ from layerfield.kernels.gpu.kernel import blocks, kernel
 from layerfield.kernels.gpu.light_paths import taps_on, weight_of, weights_on, window_of
 from layerfield.projection import Projection
 
-_WARPS = 4
-_BLOCK = 32 * _WARPS  # pixels
+_WARPS = 2
+_BLOCK = 64 * _WARPS  # pixels, two a thread
 
 
 def add_band_(

@@ -40,15 +40,41 @@ def even_start(
     shares: Float[Tensor, "layer 1 ly lx"],
     rest: Float[Tensor, "*batch 1 c 1 1"],
     size: tuple[int, int],
+    spared: tuple[int, int, int, int] = (0, 0, 0, 0),
 ) -> Float[Tensor, "*batch layer c ty tx"]:
-    """Return shares of what is seen, or the rest, on a torus; see `shared_start`."""
+    """Return shares of what is seen, or the rest, on a torus; see `shared_start`.
+
+    Args:
+        seen: A^T W L, and the others as there.
+        shares: of it.
+        rest: what is taken where there are none.
+        size: of the torus.
+        spared: rows from and to, columns from and to: pixels that are left as they were in memory.
+    """
     *batch, layers, channels, height, width = seen.shape
     result = seen.new_empty(*batch, layers, channels, *size)
     others = rest.expand(*batch, 1, channels, 1, 1).contiguous()
     _share[rows_grid(result)](
-        result, seen, shares, others, layers, channels, *size, height, width, BLOCK
+        result, seen, shares, others, layers, channels, *size, height, width, *spared, BLOCK
     )
     return result
+
+
+def cut(
+    planes: Float[Tensor, "*batch ty tx"], size: tuple[int, int], bounds: tuple[float, float]
+) -> Float[Tensor, "*batch ly lx"]:
+    """Return the top left corner of planes, clamped."""
+    result = planes.new_empty(*planes.shape[:-2], *size)
+    _cut[rows_grid(result)](result, planes, *bounds, *size, *planes.shape[-2:], BLOCK)
+    return result
+
+
+@kernel
+def _cut(result, planes, low, high, height, width, rows, columns, BLOCK: tl.constexpr):
+    row, x = tl.program_id(0).to(tl.int64), tl.program_id(1) * BLOCK + tl.arange(0, BLOCK)
+    plane, y = row // height, row % height
+    value = tl.load(planes + (plane * rows + y) * columns + x, x < width)
+    tl.store(result + row * width + x, tl.minimum(tl.maximum(value, low), high), x < width)
 
 
 @kernel
@@ -77,18 +103,19 @@ def _blend(
 @kernel
 def _share(
     result, seen, shares, others, layers, channels, rows, columns, height, width,
-    BLOCK: tl.constexpr,
+    top, bottom, left, right, BLOCK: tl.constexpr,
 ):  # fmt: skip
     row, x = tl.program_id(0).to(tl.int64), tl.program_id(1) * BLOCK + tl.arange(0, BLOCK)
     plane, y = row // rows, row % rows
+    written = (x < left) | (x >= tl.where((y >= top) & (y < bottom), right, left))
     layer, item, channel = (
         plane // channels % layers,
         plane // (channels * layers),
         plane % channels,
     )
     beneath = x < tl.where(y < height, width, 0)
-    light = tl.load(seen + (plane * height + y) * width + x, beneath, 0.0)
-    share = tl.load(shares + (layer * height + y) * width + x, beneath, 0.0)
+    light = tl.load(seen + (plane * height + y) * width + x, beneath & written, 0.0)
+    share = tl.load(shares + (layer * height + y) * width + x, beneath & written, 0.0)
     rest = tl.load(others + item * channels + channel)
     value = tl.where(share > 0, light * share, rest)
-    tl.store(result + row * columns + x, tl.where(beneath, value, 0.0), x < columns)
+    tl.store(result + row * columns + x, tl.where(beneath, value, 0.0), written & (x < columns))

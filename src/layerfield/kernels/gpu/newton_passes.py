@@ -40,7 +40,7 @@ def behind_(
     planes = dual.shape[-4] * dual.shape[-3]
     _behind[rows_grid(dual)](
         dual, shadow, last, scale, solved, boldness, *terms, planes, *solved.shape[-2:],
-        *dual.shape[-2:], BLOCK=BLOCK,
+        *dual.shape[-2:], AGAIN=terms[1] != 0, BLOCK=BLOCK,
     )  # fmt: skip
 
 
@@ -75,15 +75,17 @@ def _before(
 @kernel
 def _behind(
     duals, shadows, last, scales, solved, boldness, kept, momentum, low, high,
-    planes, rows, columns, height, width, BLOCK: tl.constexpr,
+    planes, rows, columns, height, width, AGAIN: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
     row, x = tl.program_id(0).to(tl.int64), tl.program_id(1) * BLOCK + tl.arange(0, BLOCK)
     plane, y = row // height, row % height
     inside, place = x < width, row * width + x
     shadow, dual = tl.load(shadows + place, inside), tl.load(duals + place, inside)
-    ago, scale = tl.load(last + place, inside), tl.load(scales + place, inside, 1.0)
+    scale = tl.load(scales + place, inside, 1.0)
     found = tl.load(solved + (plane * rows + y) * columns + x, inside)
     bold = tl.load(boldness + plane // planes)
     iterate = tl.minimum(tl.maximum(shadow, low), high)
-    change = found / scale + momentum * (shadow - ago)
+    change = found / scale
+    if AGAIN:
+        change += momentum * (shadow - tl.load(last + place, inside))
     tl.store(duals + place, bold * change + iterate + kept * dual, inside)

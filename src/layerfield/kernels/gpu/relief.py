@@ -19,6 +19,7 @@ from layerfield.kernels.gpu.blends import BLOCK, rows_grid
 from layerfield.kernels.gpu.kernel import blocks, kernel
 
 _CELLS = 128  # of a plane at once
+_PARTS = 256
 
 
 def relieve_(
@@ -42,10 +43,16 @@ def relieve_(
     down, across = blocks(height, CELL), blocks(width, CELL)
     parts, pictures = blocks(down * across, _CELLS), planes // layers
     seen = shadow.new_empty(planes, SIGNS, down, across)
-    _look[planes, parts](
-        seen, shadow, *bounds, rows, columns, height, width, down, across,
-        CELL=CELL, APART=APART, SIGNS=SIGNS, BEYOND=BEYOND, CELLS=_CELLS,
+    # Windows begin two pixels before a cell and two behind its first: they are made of quarters.
+    quarters = 2 * down + 1, 2 * across + 1
+    split = shadow.new_empty(planes, 4, *quarters)
+    _part[planes, blocks(math.prod(quarters), _PARTS)](
+        split, shadow, *bounds, rows, columns, height, width, *quarters,
+        PART=CELL // 2, APART=APART, PARTS=_PARTS,
     )  # fmt: skip
+    _look[planes, parts](
+        seen, split, *quarters, down, across, CELL=CELL, SIGNS=SIGNS, BEYOND=BEYOND, CELLS=_CELLS
+    )
     # The last takes the mean of all layers from each: common taps are its own with another sign.
     for n, (own, common, bias) in enumerate([*hidden, (last, -last, last.new_zeros(1))]):
         made, is_last = shadow.new_empty(planes, len(own), down, across), n == len(hidden)
@@ -62,30 +69,53 @@ def relieve_(
 
 
 @kernel
-def _look(
-    known, shadow, low, high, rows, columns, height, width, down, across,
-    CELL: tl.constexpr, APART: tl.constexpr, SIGNS: tl.constexpr, BEYOND: tl.constexpr,
-    CELLS: tl.constexpr,
+def _part(
+    parts, shadow, low, high, rows, columns, height, width, down, across,
+    PART: tl.constexpr, APART: tl.constexpr, PARTS: tl.constexpr,
 ):  # fmt: skip
-    """What is known of cells of a plane: means over four windows, each of them seen once."""
-    n, plane = tl.program_id(1) * CELLS + tl.arange(0, CELLS), tl.program_id(0).to(tl.int64)
-    inside, cells = n < down * across, down * across
-    y, x = n // across * CELL - APART, n % across * CELL - APART
+    """Least, most, and what goes beyond either bound, of quarters of windows: each is seen once."""
+    n, plane = tl.program_id(1) * PARTS + tl.arange(0, PARTS), tl.program_id(0).to(tl.int64)
+    inside, count = n < down * across, down * across
+    y, x = n // across * PART - APART, n % across * PART - APART
     pixels, share = shadow + plane * rows * columns, 1 / (high - low)
+    least = tl.full([PARTS], float("inf"), tl.float32)
+    most = tl.full([PARTS], float("-inf"), tl.float32)
+    over, under = tl.zeros([PARTS], tl.float32), tl.zeros([PARTS], tl.float32)
+    for pixel in tl.static_range(PART * PART):
+        pixel_y = tl.minimum(tl.maximum(y + pixel // PART, 0), height - 1)
+        pixel_x = tl.minimum(tl.maximum(x + pixel % PART, 0), width - 1)
+        value = (tl.load(pixels + pixel_y * columns + pixel_x, inside, 0.0) - low) * share
+        least, most = tl.minimum(least, value), tl.maximum(most, value)
+        over += tl.maximum(value - 1, 0.0)
+        under += tl.maximum(-value, 0.0)
+    parts += plane * 4 * count + n
+    tl.store(parts, least, inside)
+    tl.store(parts + count, most, inside)
+    tl.store(parts + 2 * count, over, inside)
+    tl.store(parts + 3 * count, under, inside)
+
+
+@kernel
+def _look(
+    known, parts, part_rows, part_columns, down, across,
+    CELL: tl.constexpr, SIGNS: tl.constexpr, BEYOND: tl.constexpr, CELLS: tl.constexpr,
+):  # fmt: skip
+    """What is known of cells of a plane: means over four windows of four quarters each."""
+    n, plane = tl.program_id(1) * CELLS + tl.arange(0, CELLS), tl.program_id(0).to(tl.int64)
+    inside, cells, count = n < down * across, down * across, part_rows * part_columns
+    first = parts + plane * 4 * count + n // across * 2 * part_columns + n % across * 2
     falls, rises = tl.zeros([CELLS], tl.float32), tl.zeros([CELLS], tl.float32)
     over, under = tl.zeros([CELLS], tl.float32), tl.zeros([CELLS], tl.float32)
     beneath, above = tl.zeros([CELLS], tl.float32), tl.zeros([CELLS], tl.float32)
-    for window in range(4):
-        top, left = window // 2 * 2 * APART, window % 2 * 2 * APART
+    for window in tl.static_range(4):
         least = tl.full([CELLS], float("inf"), tl.float32)
         most = tl.full([CELLS], float("-inf"), tl.float32)
-        for pixel in tl.static_range(CELL * CELL):
-            pixel_y = tl.minimum(tl.maximum(y + top + pixel // CELL, 0), height - 1)
-            pixel_x = tl.minimum(tl.maximum(x + left + pixel % CELL, 0), width - 1)
-            value = (tl.load(pixels + pixel_y * columns + pixel_x, inside, 0.0) - low) * share
-            least, most = tl.minimum(least, value), tl.maximum(most, value)
-            over += tl.maximum(value - 1, 0.0)
-            under += tl.maximum(-value, 0.0)
+        for quarter in tl.static_range(4):
+            part = first + (window // 2 + quarter // 2) * part_columns + window % 2 + quarter % 2
+            least = tl.minimum(least, tl.load(part, inside, 0.0))
+            most = tl.maximum(most, tl.load(part + count, inside, 0.0))
+            over += tl.load(part + 2 * count, inside, 0.0)
+            under += tl.load(part + 3 * count, inside, 0.0)
         fall = tl.minimum(tl.maximum(least, 0.0), 1.0)
         rise = 1 - tl.minimum(tl.maximum(most, 0.0), 1.0)
         falls += fall

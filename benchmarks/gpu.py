@@ -42,7 +42,7 @@ def main(out: Path, stream: Stream, methods: Sequence[str], views: list[EightBit
     bandwidth = copy_bandwidth(device)
     facts = {
         "made_with": provenance(device),
-        "command": f"python benchmarks/gpu.py {out.name} --device {device} "
+        "command": f"python benchmarks/gpu.py {out.name} --device {device.type} "
         f"--size {width}x{height} --methods {names} --at-once {stream.at_once}",
         "stream": asdict(stream),
         "views": [25, 3, *stream.size],

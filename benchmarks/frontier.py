@@ -37,7 +37,7 @@ CONTENDERS = {
 }
 CPU = torch.device("cpu")
 EFFORT = Effort(repeats=3, cap=6.0)
-PATIENT = Effort(repeats=3, cap=20.0)  # the first run of a size fills memory, and takes longer
+PATIENT = Effort(repeats=5, cap=20.0)  # the first run of a size fills memory, and takes longer
 
 
 def frontier(out: Path) -> None:

@@ -264,6 +264,8 @@ def test_what_colours_do_not_serve():
     grey, between = posed("multiplicative"), posed("multiplicative", "[1.5, -0.25]", channels=3)
     for each in (grey, between):
         assert not colour_paths.serves(each.projection, each.views, each.bounds)
+    many = posed("multiplicative", "[3, 2, 1, 0, -1, -2]", channels=3)  # compiled for minutes
+    assert not colour_paths.serves(many.projection, many.views, many.bounds)
     colours = posed("multiplicative", channels=3)
     assert not colour_paths.serves(colours.projection, colours.views, (0.0, 0.5))
 

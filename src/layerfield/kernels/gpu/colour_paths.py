@@ -28,19 +28,22 @@ COLOURS = 3
 _WARPS = 4
 _WIDE, _TALL = 32, _WARPS  # pixels of a tile, one a thread
 _PACKED = 1024  # pixels at once
+_MOST_UNROLLED = 100  # paths of pairs of layers in a row of views; 45 are compiled in five seconds
 _SIDE_BY_SIDE = WeakKeyDictionary[KeptViews, Tensor]()  # as long as the views are kept
 
 
 def serves(projection: Projection, views: KeptViews, bounds: tuple[float, float]) -> bool:
-    """Whether views have 8 bits, three colours and a grid of whole pixels; and layers go to 1."""
-    stored = views.stored
-    return (
-        stored.dtype == torch.uint8
-        and stored.shape[-3] == COLOURS
-        and len(projection.taps[0]) > 1
-        and bounds == (0.0, 1.0)
-        and taps_on(projection, stored.device).rows is not None
-    )
+    """Whether views have 8 bits, three colours and a grid of whole pixels, and layers go to 1.
+
+    And there are neither too few layers nor too many for a kernel that knows all paths.
+    """
+    stored, layers = views.stored, len(projection.taps[0])
+    if stored.dtype != torch.uint8 or stored.shape[-3] != COLOURS or bounds != (0.0, 1.0):
+        return False
+    taps = taps_on(projection, stored.device)
+    if taps.rows is None or layers == 1:
+        return False
+    return layers**2 * taps.together <= _MOST_UNROLLED
 
 
 def right_hand_side(
@@ -194,10 +197,13 @@ def _right_hand_side(
         for colour in tl.static_range(3):
             mine += (tl.load(shadows + (plane + colour) * behind + place, beneath, 0.0),)
         # Where all views of all pixels of the tile are inside, as in most, no masks are needed.
-        first, last = KNOWN[0][k], KNOWN[0][(VIEWS - 1) * LAYERS + k]
+        first, last = KNOWN[0][k], KNOWN[0][k]
+        for column in tl.static_range(VIEWS):
+            first = min(first, KNOWN[0][column * LAYERS + k])
+            last = max(last, KNOWN[0][column * LAYERS + k])
         upper, lower = KNOWN[1][k], KNOWN[1][k] + (groups - 1) * KNOWN[2][k]
-        inside = (begin_x >= tl.maximum(first, last)) & (begin_y >= tl.maximum(upper, lower))
-        inside &= begin_x + WIDE <= tl.minimum(first, last) + width
+        inside = (begin_x >= last) & (begin_x + WIDE <= first + width)
+        inside &= begin_y >= tl.maximum(upper, lower)
         inside &= begin_y + TALL <= tl.minimum(upper, lower) + height
         if inside:
             sums = _paths(

@@ -178,13 +178,15 @@ def test_ssim_of_views_smaller_than_its_window_mirrors_them_again():
         wanted, views = torch.rand(2, 1, 3, *size, generator=generator)
         around = [(0, 0), (0, 0), (25, 25), (25, 25)]
         wide = [
-            torch.from_numpy(numpy.pad(each, around, mode="reflect")) for each in (views, wanted)
+            torch.from_numpy(numpy.pad(each.double(), around, mode="reflect"))
+            for each in (views, wanted)
         ]
         _, everywhere = structural_similarity_index_measure(
             wide[0], wide[1], data_range=1.0, return_full_image=True
         )
         expected = everywhere[..., 25 : 25 + size[0], 25 : 25 + size[1]].mean()
         assert ssim(views, wanted) == pytest.approx(float(expected), abs=1e-5)
+        assert ssim(views.double(), wanted.double()) == pytest.approx(float(expected), abs=1e-12)
 
 
 def _road(link):

@@ -8,6 +8,8 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import cv2
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -16,7 +18,7 @@ EXACT = 1e-10  # a mean square error below this is rounding
 
 _STRIP = 64  # rows that fit into the fast memory of a processor
 _BELL = [math.exp(-(((i - 5) / 1.5) ** 2) / 2) for i in range(11)]
-_WINDOW = [height / sum(_BELL) for height in _BELL]
+_WINDOW = np.array(_BELL) / sum(_BELL)
 
 Views = Float[Tensor, "view c y x"]
 
@@ -106,41 +108,32 @@ def _refuse_unlike(views: Tensor, target: Tensor) -> None:
 
 
 def _similarity(view: Float[Tensor, "c y x"], wanted: Float[Tensor, "c y x"]) -> float:
-    """Go strip by strip: a large picture would take a hundred times its memory."""
-    total, wide = 0.0, [_mirrored(each) for each in (view.clamp(0, 1), wanted)]
-    for channel, wanted_channel in zip(*wide, strict=True):
+    """Go strip by strip: a large picture would take dozens of times its memory."""
+    total, around = 0.0, len(_WINDOW) // 2
+    for pair in zip(view.clamp(0, 1), wanted, strict=True):
+        wide = [np.pad(_array(each), around, mode="reflect") for each in pair]
         for top in range(0, view.shape[-2], _STRIP):
-            rows = slice(top, top + _STRIP + len(_WINDOW) - 1)
-            v, w = channel[rows], wanted_channel[rows]
+            v, w = (each[top : top + _STRIP + 2 * around] for each in wide)
             mean_v, mean_w = _blurred(v), _blurred(w)
-            both, squares = mean_v * mean_w, mean_v.square() + mean_w.square()
+            both, squares = mean_v * mean_w, mean_v**2 + mean_w**2
             covariance = _blurred(v * w) - both
             variances = _blurred(v * v + w * w) - squares
             index = (2 * both + 0.01**2) * (2 * covariance + 0.03**2)
             index /= (squares + 0.01**2) * (variances + 0.03**2)
-            total += index.sum(dtype=torch.float64).item()
+            total += index.sum(dtype=np.float64).item()
     return total / view.numel()
 
 
-def _mirrored(view: Float[Tensor, "c y x"]) -> Float[Tensor, "c y2 x2"]:
-    """Continue a view by half a window on each side, as often as need be if it is smaller."""
-    for dim in (-2, -1):
-        size, around = view.shape[dim], len(_WINDOW) // 2
-        period = max(2 * (size - 1), 1)
-        place = torch.arange(-around, size + around, device=view.device).remainder(period)
-        view = view.index_select(dim, torch.minimum(place, period - place))
-    return view
+def _array(values: Float[Tensor, "y x"]) -> Float[np.ndarray, "y x"]:
+    """Return values where OpenCV finds them, in single precision at the least."""
+    single = torch.promote_types(values.dtype, torch.float32)
+    return values.detach().to("cpu", single).contiguous().numpy()
 
 
-def _blurred(values: Float[Tensor, "y x"]) -> Float[Tensor, "y2 x2"]:
+def _blurred(values: Float[np.ndarray, "y x"]) -> Float[np.ndarray, "y2 x2"]:
     """Return the means under the window wherever it fits."""
-    for dim in (0, 1):
-        count = values.shape[dim] - len(_WINDOW) + 1
-        result = values.narrow(dim, 0, count) * _WINDOW[0]
-        for i, weight in enumerate(_WINDOW[1:], start=1):
-            result.add_(values.narrow(dim, i, count), alpha=weight)
-        values = result
-    return values
+    around = len(_WINDOW) // 2
+    return cv2.sepFilter2D(values, -1, _WINDOW, _WINDOW)[around:-around, around:-around]
 
 
 class LayerFigures(NamedTuple):

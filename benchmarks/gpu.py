@@ -84,16 +84,23 @@ def _size(written: str) -> tuple[int, int]:
     return int(height), int(width)
 
 
+def _count(written: str) -> int:
+    """Return a number of pictures."""
+    if not (written.isdecimal() and int(written)):
+        raise argparse.ArgumentTypeError(f"found '{written}', expected a number from 1 on")
+    return int(written)
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("out", type=Path)
     parser.add_argument("--device", choices=DEVICES, default="cuda")
     parser.add_argument("--size", type=_size, default="1920x1080", metavar="WIDTHxHEIGHT")
     parser.add_argument("--methods", default=",".join(DEFAULT))
-    parser.add_argument("--at-once", type=int, default=Stream.at_once, metavar="N")
+    parser.add_argument("--at-once", type=_count, default=Stream.at_once, metavar="N")
     given = parser.parse_args()
     chosen, device = given.methods.split(","), torch.device(given.device)
-    stream = Stream(size=given.size, at_once=max(1, given.at_once))
+    stream = Stream(size=given.size, at_once=given.at_once)
     try:
         refuse(given.out, chosen, device)
         views = pictures(stream, device)

@@ -3,6 +3,8 @@
 Where there is no GPU, Triton's interpreter runs them on the processor.
 """
 
+from collections.abc import Iterator
+
 import pytest
 import torch
 
@@ -26,7 +28,7 @@ from layerfield.panels import quantise
 from layerfield.projection import Projection
 from layerfield.scenes import procedural_light_field
 from layerfield.solve import solve
-from layerfield.solvers.newton_admm import NewtonAdmm, slope
+from layerfield.solvers.newton_admm import NewtonAdmm, NewtonState, slope
 from layerfield.solvers.sweeps import best_layer
 from layerfield.synthesizer import SOLVERS
 from layerfield.transfer import NONE, Srgb
@@ -177,7 +179,7 @@ def test_the_rim_of_the_balanced_start_is_all_that_its_band_depends_on():
     gram = problem.gram
     start = problem.even_start(gram.torus)
     (height, width), (my, mx) = problem.view_size, problem.projection.margin
-    rim = problem.even_rim()
+    rim = problem.even_start(gram.torus, rim=True)
     inner = slice(2 * my, height), slice(2 * mx, width)
     rim[..., *inner] = start[..., *inner]
     assert torch.equal(rim, start)
@@ -220,6 +222,12 @@ def test_relief(by_row):
 def test_newton_steps():
     """Before the first D is unknown; it is found anew in the first three."""
     problem = posed("multiplicative", "[1, -1]", (2, 2), size=(4, 9))
+    for found, expected in newton_steps(problem):
+        close(found.shadow, expected.shadow, 1e-4)
+
+
+def newton_steps(problem: Problem) -> Iterator[tuple[NewtonState, NewtonState]]:
+    """Return states behind steps from the same one each: of kernels, and of PyTorch."""
     start = (drawn(problem.layer_shape) * 1.2 - 0.1).clamp(0, 1)  # many are at bounds
     solver = NewtonAdmm()
     state = solver.init(problem, start)
@@ -227,7 +235,7 @@ def test_newton_steps():
         with plain():
             expected = solver.step(problem, state)
         state = solver.step(problem, state)
-        close(state.shadow, expected.shadow, 1e-4)
+        yield state, expected
 
 
 @pytest.mark.parametrize(
@@ -245,29 +253,23 @@ def test_newton_steps_of_three_colours(disparity, views, transfer, weights):
         "multiplicative", disparity, views, batch=batch, size=size, transfer=transfer,
         weights=weights, channels=3,
     )  # fmt: skip
-    assert colour_paths.serves(problem.projection, problem.views, problem.bounds)
-    start = (drawn(problem.layer_shape) * 1.2 - 0.1).clamp(0, 1)
-    solver = NewtonAdmm()
-    state = solver.init(problem, start)
-    for _ in range(4):
-        with plain():
-            expected = solver.step(problem, state)
-        state = solver.step(problem, state)
-        apart, known = (state.shadow - expected.shadow).abs(), expected.shadow.abs()
+    assert colour_paths.serves(problem.light_paths, problem.bounds)
+    for found, expected in newton_steps(problem):
+        apart, known = (found.shadow - expected.shadow).abs(), expected.shadow.abs()
         assert apart.mean() < 5e-4 * known.mean()
         assert apart.max() < 2e-3 * known.max()
-        torch.testing.assert_close(state.scale, expected.scale, rtol=0, atol=5e-4)
-        torch.testing.assert_close(state.error, expected.error, rtol=5e-4, atol=0)
+        torch.testing.assert_close(found.scale, expected.scale, rtol=0, atol=5e-4)
+        torch.testing.assert_close(found.error, expected.error, rtol=5e-4, atol=0)
 
 
 def test_what_colours_do_not_serve():
     grey, between = posed("multiplicative"), posed("multiplicative", "[1.5, -0.25]", channels=3)
     for each in (grey, between):
-        assert not colour_paths.serves(each.projection, each.views, each.bounds)
+        assert not colour_paths.serves(each.light_paths, each.bounds)
     many = posed("multiplicative", "[3, 2, 1, 0, -1, -2]", channels=3)  # compiled for minutes
-    assert not colour_paths.serves(many.projection, many.views, many.bounds)
+    assert not colour_paths.serves(many.light_paths, many.bounds)
     colours = posed("multiplicative", channels=3)
-    assert not colour_paths.serves(colours.projection, colours.views, (0.0, 0.5))
+    assert not colour_paths.serves(colours.light_paths, (0.0, 0.5))
 
 
 @pytest.mark.parametrize("bits", [8, 16])

@@ -34,7 +34,7 @@ from layerfield.projection import Projection
 
 _SEED = 0  # of what makes subframes differ
 _AT_ONCE = 10  # iterations at once: between them the keyboard can interrupt
-_LARGE = 1 << 20  # pixels of a layer from which on a processor takes long, and a state much memory
+_LARGE = 1 << 20  # pixels of a layer: on a processor iterations take long, states much memory
 APART = 0.05  # how much they differ; on procedural scenes sweeps ended higher the less they did
 
 
@@ -184,22 +184,8 @@ class Problem:
         rest = first.sum(dim=(-2, -1), keepdim=True) * self.constants.mean_share
         return self.constants.even_shares, rest
 
-    def even_rim(self) -> Float[Tensor, "*batch 1 layer c ty tx"]:
-        """Return the balanced start on the torus of `gram`, as far as its band depends on it.
-
-        On a GPU the other pixels are what was in memory; see `shared_rim` for compiled loops.
-        """
-        if not on_gpu(self.back_projected):
-            return self.even_start(self.gram.torus)
-        from layerfield.kernels.gpu.blends import even_start  # noqa: PLC0415  needs Triton
-
-        shares, rest = self.even_shares
-        (height, width), (my, mx) = self.view_size, self.projection.margin
-        inner = 2 * my, height, 2 * mx, width  # what no path meets that a view ends before
-        return even_start(self.back_projected, shares, rest, self.gram.torus, inner)
-
     def even_start(
-        self, size: tuple[int, int] | None = None
+        self, size: tuple[int, int] | None = None, *, rim: bool = False
     ) -> Float[Tensor, "*batch 1 layer c ty tx"]:
         """Return the balanced start: every layer shows what its viewers see on average, shared.
 
@@ -208,6 +194,8 @@ class Problem:
 
         Args:
             size: of a torus, on which the layers are, and 0 beside them.
+            rim: no more is needed than what the band depends on, see `Gram`. On a GPU other
+                pixels are then what was in memory.
         """
         shares, rest = self.even_shares
         height, width = self.layer_shape[-2:]
@@ -215,7 +203,10 @@ class Problem:
         if on_gpu(self.back_projected):
             from layerfield.kernels.gpu.blends import even_start  # noqa: PLC0415  needs Triton
 
-            return even_start(self.back_projected, shares, rest, (ty, tx))
+            (rows, columns), (my, mx) = self.view_size, self.projection.margin
+            # No path meets those pixels that ends beside a view.
+            spared = (2 * my, rows, 2 * mx, columns) if rim else (0, 0, 0, 0)
+            return even_start(self.back_projected, shares, rest, (ty, tx), spared)
         if serve(self.back_projected):
             return shared_start(self.back_projected, shares, rest, (ty, tx))
         start = torch.where(shares > 0, self.back_projected * shares, rest)

@@ -15,12 +15,7 @@ from typing import Any
 
 import torch
 
-from layerfield.bench.road import (
-    EightBitViews,
-    Panels,
-    Pipeline,
-    views_to_panels,
-)
+from layerfield.bench.road import EightBitViews, Panels, Pipeline, views_to_panels
 from layerfield.bench.timing import Seconds, once
 from layerfield.display import Display
 from layerfield.display_constants import constants_of

@@ -43,9 +43,12 @@ class Behind(NamedTuple):
 
 
 class Asked(NamedTuple):
-    """Rows and columns of the torus, how many views there are to one of the error, and what of D.
+    """What else `before_from_views` is told.
 
-    `is_new`: it is found anew.
+    Args:
+        torus: its rows and columns.
+        every: how many views there are to one whose error is found.
+        is_new: whether D is found anew.
     """
 
     torus: tuple[int, int]
@@ -80,10 +83,9 @@ def before_from_views(
         return None
     from layerfield.kernels.gpu.colour_paths import right_hand_side, serves  # noqa: PLC0415  needs Triton
 
-    if not serves(paths.projection, paths.views, (terms.low, terms.high)):
+    if not serves(paths, (terms.low, terms.high)):
         return None
-    given = paths.projection, paths.views, paths.weights, shadow, last, terms
-    right, dual, scale, error = right_hand_side(*given, *asked[:2], is_new=asked.is_new)
+    right, dual, scale, error = right_hand_side(paths, terms, shadow, last, asked)
     return right, dual, scale, error.view(*shadow.shape[:-5], 1, 1, 1, 1, 1)
 
 

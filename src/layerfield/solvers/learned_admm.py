@@ -169,7 +169,7 @@ class LearnedAdmm:
         """Return the balanced start, of which no more is needed here than what strips show."""
         gram, data = problem.gram, problem.back_projected
         if gram.sides is None or not gram.spectral.serves(data):
-            return problem.even_rim()
+            return problem.even_start(gram.torus, rim=True)
         return shared_rim(data, *problem.even_shares, gram.torus, gram.sides)
 
     def _coarse(self, grid: Spectral, bounds: tuple[float, float]) -> Coarse:

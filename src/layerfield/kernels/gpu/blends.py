@@ -40,7 +40,7 @@ def even_start(
     shares: Float[Tensor, "layer 1 ly lx"],
     rest: Float[Tensor, "*batch 1 c 1 1"],
     size: tuple[int, int],
-    spared: tuple[int, int, int, int] = (0, 0, 0, 0),
+    spared: tuple[int, int, int, int],
 ) -> Float[Tensor, "*batch layer c ty tx"]:
     """Return shares of what is seen, or the rest, on a torus; see `shared_start`.
 

@@ -11,7 +11,6 @@ the tile's other reads have brought into the cache.
 # pyright: reportGeneralTypeIssues=false
 # Loops that are unrolled, over `static_range`, are for Triton alone to understand.
 
-from collections.abc import Sequence
 from weakref import WeakKeyDictionary
 
 import torch
@@ -22,7 +21,9 @@ from torch import Tensor
 from layerfield.kept_views import LARGEST, KeptViews
 from layerfield.kernels.gpu.kernel import blocks, kernel
 from layerfield.kernels.gpu.light_paths import taps_on, weights_on
-from layerfield.projection import Projection
+from layerfield.kernels.gpu.newton_passes import right_of
+from layerfield.kernels.light_paths import LightPaths
+from layerfield.kernels.newton_passes import Asked, Before
 
 COLOURS = 3
 _WARPS = 4
@@ -32,45 +33,39 @@ _MOST_UNROLLED = 100  # paths of pairs of layers in a row of views; 45 are compi
 _SIDE_BY_SIDE = WeakKeyDictionary[KeptViews, Tensor]()  # as long as the views are kept
 
 
-def serves(projection: Projection, views: KeptViews, bounds: tuple[float, float]) -> bool:
+def serves(paths: LightPaths, bounds: tuple[float, float]) -> bool:
     """Whether views have 8 bits, three colours and a grid of whole pixels, and layers go to 1.
 
     And there are neither too few layers nor too many for a kernel that knows all paths.
     """
-    stored, layers = views.stored, len(projection.taps[0])
+    stored, layers = paths.views.stored, len(paths.projection.taps[0])
     if stored.dtype != torch.uint8 or stored.shape[-3] != COLOURS or bounds != (0.0, 1.0):
         return False
-    taps = taps_on(projection, stored.device)
+    taps = taps_on(paths.projection, stored.device)
     if taps.rows is None or layers == 1:
         return False
     return layers**2 * taps.together <= _MOST_UNROLLED
 
 
 def right_hand_side(
-    projection: Projection,
-    views: KeptViews,
-    weights: Sequence[float],
+    paths: LightPaths,
+    terms: Before,
     shadow: Float[Tensor, "*batch 1 layer c ly lx"],
     last: Float[Tensor, "*batch 1 layer c ly lx"] | None,
-    terms: Sequence[float],
-    torus: tuple[int, int],
-    every: int,
-    *,
-    is_new: bool,
+    asked: Asked,
 ) -> tuple[Tensor, Tensor, Tensor, Float[Tensor, " item"]]:
     """Return what `newton_passes.before` does, and the error of every item of a batch.
 
     Args:
-        projection: A.
-        views: L; see `serves`.
-        weights: of the views.
+        paths: which; see `serves`.
+        terms: of the right-hand side.
         shadow: s, contiguous.
         last: D of the step before, if there was one.
-        terms: `newton_passes.Before`.
-        torus: its rows and columns.
-        every: how many views there are to one whose error is found.
-        is_new: whether D is found anew.
+        asked: the rest.
     """
+    projection, views, weights, (torus, every, is_new) = (
+        paths.projection, paths.views, paths.weights, asked
+    )  # fmt: skip
     *batch, _, layers, channels, rows, columns = shadow.shape
     (ty, tx), (height, width) = torus, views.stored.shape[-2:]
     taps, weighed = taps_on(projection, shadow.device), len({*weights}) > 1
@@ -239,15 +234,8 @@ def _write(
     if NEW:
         scale = tl.sqrt(tl.maximum(bent / weight, least))
         tl.store(scales + at, scale, beneath)
-    iterate = tl.minimum(tl.maximum(shadow, low), high)
-    if FIRST:
-        held = ((iterate <= low) & (slope > 0)) | ((iterate >= high) & (slope < 0))
-        dual = tl.where(held, -slope / (rho * scale * scale), 0.0)
-    else:
-        turned = ago / scale
-        dual = (shadow - iterate) * turned * turned  # of the same force, rho D^2 u
+    right, dual = right_of(shadow, slope, scale, ago, rho, trust, low, high, FIRST)
     tl.store(duals + at, dual, beneath)
-    right = slope / (rho * scale) + trust * scale * dual
     tl.store(there, tl.where(beneath, right, 0.0), on_torus)
 
 

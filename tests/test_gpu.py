@@ -4,6 +4,7 @@ Where there is no GPU, Triton's interpreter runs them on the processor.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import pytest
 import torch
@@ -40,6 +41,7 @@ from layerfield.kernels.gpu.cufft import to_planes_
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 SIZE = (6, 13)
 SHOWN = (96, 130)  # what whole methods make layers of
+VALUES = KeptViews._values
 
 
 @pytest.fixture(autouse=True)
@@ -297,7 +299,7 @@ def test_cufft_makes_the_same_planes(by_row):
 @pytest.mark.parametrize("method", ["fast", "fourier-admm", "sweeps"])
 @pytest.mark.parametrize("link", ["additive", "multiplicative"])
 @pytest.mark.parametrize("views", [(3, 3), (1, 4)])
-def test_methods_make_the_same_layers(views, link, method, transfer):
+def test_methods_make_the_same_layers(views, link, method, transfer, monkeypatch):
     problem, again = (
         posed(link, views=views, batch=(2,), size=SHOWN, transfer=transfer) for _ in range(2)
     )
@@ -305,17 +307,19 @@ def test_methods_make_the_same_layers(views, link, method, transfer):
         solver = steps_for(problem).solver(3)
     else:
         solver = SOLVERS[method].make(problem.link)
-    with plain():
+    with plain(), monkeypatch.context() as patch:
+        patch.setattr(KeptViews, "_values", rounded_values)
         expected = solve(again, solver, iterations=3).layers
     found = solve(problem, solver, iterations=3).layers
-    # Views of a law are read in half precision, which a few pixels at the rim answer to: those that
-    # a single view looks at, through dark ones.
-    apart = (found - expected).abs()
-    assert apart.mean() < 2e-4
-    my, mx = problem.projection.margin
-    inner = apart[..., 2 * my : SHOWN[0], 2 * mx : SHOWN[1]]
-    assert inner.max() < 5e-2
-    assert (apart > 5e-2).double().mean() < 1e-4
+    assert (found - expected).abs().mean() < 2e-5
+    close(found, expected, 2e-3)
+
+
+def rounded_values(views: KeptViews, stored: torch.Tensor) -> torch.Tensor:
+    """What kernels read where a law says what codes stand for: half precision."""
+    if views.table is not None:
+        views = replace(views, table=views.table.half().float())
+    return VALUES(views, stored)
 
 
 def test_derivatives_are_left_to_pytorch():

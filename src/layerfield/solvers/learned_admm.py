@@ -25,6 +25,9 @@ from layerfield.solvers.relief import Relief
 
 COARSE = 4  # times larger are the pixels of the coarse steps
 BALANCE = 0.003  # as of the direct solver
+# Least penalty on large pixels. Softer ones serve small scenes, but let light answer to what is far
+# away: worse on large pictures, and layers flicker when something scrolls in.
+SOFTEST = 0.04
 _LEAST = 8  # pixels of a coarse torus; smaller pictures go without
 
 
@@ -174,8 +177,11 @@ class LearnedAdmm:
 
     def _coarse(self, grid: Spectral, bounds: tuple[float, float]) -> Coarse:
         """Return the coarse steps for compiled loops."""
-        steps = [each.among(len(grid.symbol)) for each in self.coarse]
-        return Coarse(grid.system(BALANCE, bounds), steps, grid.pixels)
+        return Coarse(grid.system(BALANCE, bounds), self._coarse_steps(grid), grid.pixels)
+
+    def _coarse_steps(self, grid: Spectral) -> list[Constants]:
+        known = [each.among(len(grid.symbol)) for each in self.coarse]
+        return [each._replace(penalty=max(each.penalty, SOFTEST)) for each in known]
 
     def _solved_coarsely(self, grid: Spectral, seen: Tensor, bounds: tuple[float, float]) -> Tensor:
         """Return the spectrum of s after all coarse steps."""
@@ -185,8 +191,7 @@ class LearnedAdmm:
                 return made
         data, number, before = grid.low_to_pixels(seen), len(grid.symbol), None
         made = data / (grid.weight * number)
-        for each in self.coarse:
-            constants = each.among(number)
+        for constants in self._coarse_steps(grid):
             right = Blend(right_shares(grid, constants), made, bounds, data)
             made, before = moved(grid, right, made, before, bounds, constants, BALANCE), made
         return grid.to_low(made)

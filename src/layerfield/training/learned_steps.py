@@ -28,7 +28,7 @@ from layerfield.projection import sum_of
 from layerfield.solve import Problem
 from layerfield.solvers.admm_steps import OVERRELAXED, Constants, stride
 from layerfield.solvers.fourier_admm import dual_at_bounds
-from layerfield.solvers.learned_admm import BALANCE, coarse_grid
+from layerfield.solvers.learned_admm import BALANCE, SOFTEST, coarse_grid
 from layerfield.solvers.newton_admm import renews_scale, scale_of, slope
 from layerfield.solvers.relief import Relief
 
@@ -36,9 +36,6 @@ _FIRST = {"penalty": math.log(0.02), "relaxation": 1.6, "trust": 1.0, "kept": 0.
 _MOMENTUM = Constants._fields.index("momentum")
 _LAST_PENALTY = math.log(0.1)
 _FIRST_NEWTON = [math.log(0.4), 1.0, 1.0, 1.0, 0.0]
-# Least penalty on large pixels. Softer ones serve small scenes, but let light answer to what is far
-# away: worse on large pictures, and layers flicker when something scrolls in.
-_SOFTEST = 0.02
 
 
 class LearnedSteps(nn.Module):
@@ -67,7 +64,7 @@ class LearnedSteps(nn.Module):
     @torch.no_grad()
     def rows(self) -> Rows:
         """Return what was learned."""
-        made = _real(self.full), _real(self.coarse, _SOFTEST), _real(self.newton)
+        made = _real(self.full), _real(self.coarse, SOFTEST), _real(self.newton)
         constants = (tuple(Constants(*row) for row in rows.tolist()) for rows in made)
         tensors = [each.detach().clone() for each in self.relief]
         return Rows(*constants, relief=Relief.of(tensors) if tensors else None)
@@ -87,7 +84,7 @@ class LearnedSteps(nn.Module):
     def forward(self, problem: Problem) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         """Return the layers of a problem whose link is a sum, in the bounds of the problem."""
         gram, bounds = problem.gram, problem.bounds
-        real = _real(self.full), _real(self.coarse, _SOFTEST)
+        real = _real(self.full), _real(self.coarse, SOFTEST)
         full, coarse = (_among(problem.layer_count, rows) for rows in real)
         data = _completed(problem, problem.even_start(gram.torus))
         shadow = _first(gram.spectral, data, full[0], coarse, bounds)

@@ -66,7 +66,7 @@ def test_lower_rooms_do_not_import_higher_ones():
     """Data flows one way; a room is imported only by rooms listed after it."""
     order = [
         "version", "nearest", "own_process", "memory", "toml_model", "geometry", "kept_views",
-        "light_field", "projection", "links", "kernels", "clock", "lengths", "pieces",
+        "light_field", "projection", "row_system", "links", "kernels", "clock", "lengths", "pieces",
         "back_projection", "warped_projection", "panel_projection", "frequencies", "band", "gram",
         "display_constants",
         "composition", "transfer", "panel_spec", "display_spec", "display", "panels", "motion",

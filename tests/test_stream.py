@@ -126,16 +126,32 @@ def test_a_frame_has_the_means_of_what_is_near_its_edge():
     torch.testing.assert_close(beyond, around[:, 1:-1, :1].expand(2, 30, 40))
 
 
-@pytest.mark.parametrize(("method", "gain"), [("fast", 0.99), ("fourier-admm", 0.94)])
+@pytest.fixture
+def learned(monkeypatch):
+    """Have `fast` take learned steps where it would solve rows by themselves."""
+    monkeypatch.setattr("layerfield.fast._FAR", 0)
+
+
+@pytest.mark.parametrize(
+    ("method", "count", "gain"),
+    [("fast", 1, 0.99), ("row-newton", 1, 0.99), ("fourier-admm", 3, 0.94)],
+)
 @pytest.mark.parametrize("step", [(2, 0), (3, 1)])
-def test_a_warm_frame_is_better_than_a_cold_one_of_the_same_count(method, gain, step):
+def test_a_warm_frame_is_better_than_a_cold_one_of_the_same_count(method, count, gain, step):
     display, fields = row_of_five("additive"), pan(step, 5)
-    warm = errors(fields, display, method=method)
+    warm = errors(fields, display, method=method, iterations=count)
     for field, error in list(zip(fields, warm, strict=True))[1:]:
-        cold = synthesize(field, display, method=method, iterations=3).layers
+        cold = synthesize(field, display, method=method, iterations=count).layers
         assert error < gain * pose(field, display).mean_square_error(cold)
 
 
+@pytest.mark.usefixtures("learned")
+@pytest.mark.parametrize("step", [(2, 0), (3, 1)])
+def test_a_warm_frame_of_learned_steps_is_better_than_a_cold_one(step):
+    test_a_warm_frame_is_better_than_a_cold_one_of_the_same_count("fast", 3, 0.99, step)
+
+
+@pytest.mark.usefixtures("learned")
 def test_four_learned_steps_are_better_than_three_and_three_than_one():
     display, fields = row_of_five("additive"), pan((3, 0), 5)
     one, three, four = (errors(fields, display, iterations=n)[-1] for n in (1, 3, 4))
@@ -181,12 +197,19 @@ def test_a_cut_is_found_and_starts_anew():
     fields = [*pan((1, 0), 3), *pan((1, 0), 2, seed=8)]
     made = list(synthesize_frames(fields, display))
     assert [s.details["start"] for s in made] == ["cold", "moved", "moved", "cut", "moved"]
-    assert [s.iterations for s in made] == [20, 3, 3, 20, 3]
+    assert [s.iterations for s in made] == [4, 3, 3, 4, 3]
     assert "unexplained" not in made[0].details
     shares = [float(s.details["unexplained"]) for s in made[1:]]
     assert [share > 0.3 for share in shares] == [False, False, True, False]
-    cold = synthesize(fields[3], display, method="fast", iterations=20).layers
+    cold = synthesize(fields[3], display, method="fast", iterations=4).layers
     torch.testing.assert_close(made[3].layers, cold)
+
+
+@pytest.mark.usefixtures("learned")
+def test_learned_steps_take_twenty_where_nothing_comes_before():
+    fields = [*pan((1, 0), 2), *pan((1, 0), 1, seed=8)]
+    made = list(synthesize_frames(fields, row_of_five("additive")))
+    assert [s.iterations for s in made] == [20, 3, 20]
 
 
 def test_a_motion_from_outside_explains_nothing(monkeypatch):

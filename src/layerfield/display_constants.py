@@ -3,12 +3,15 @@
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
+import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Float64
 from torch import Tensor
 
 from layerfield.gram import Gram
+from layerfield.kernels.row_steps import RowMatrix, matrix_of
 from layerfield.projection import Projection
+from layerfield.row_system import row_entries
 
 _KEPT = 3  # displays and sizes; more would rather fill the memory than save time
 
@@ -65,6 +68,16 @@ class DisplayConstants:
     def mean_share(self) -> float:
         """What the light of all pixels of one layer, A^T W L, is multiplied by for their mean."""
         return 1 / (len(self.coverage) * self.coverage[0].sum().item())
+
+    @cached_property
+    def row_entries(self) -> Float64[np.ndarray, "unknown ahead"]:
+        """A^T M W A of a row of pixels, see `row_entries`; where views stand in a row."""
+        return row_entries(self.projection, self.weights, self.view_size[1])
+
+    @cached_property
+    def row_matrix(self) -> RowMatrix:
+        """The same for compiled loops."""
+        return matrix_of(self.row_entries)
 
 
 @lru_cache(maxsize=_KEPT)

@@ -24,6 +24,7 @@ from layerfield.display import Display
 from layerfield.io.safe_output import whole_file
 from layerfield.links import LINKS, Link, Multiplicative
 from layerfield.methods import RunOptions, SolverMethod
+from layerfield.row_system import row_reach, serves_rows
 from layerfield.shipped import TRAINED
 from layerfield.solve import Problem, Solution, Solver
 from layerfield.solvers.admm_steps import Constants
@@ -31,10 +32,12 @@ from layerfield.solvers.fourier_start import FourierStart
 from layerfield.solvers.learned_admm import LearnedAdmm
 from layerfield.solvers.newton_admm import FourierNewton, NewtonAdmm
 from layerfield.solvers.relief import Relief
+from layerfield.solvers.row_newton import RowNewton
 from layerfield.solvers.warm_admm import WarmAdmm
 from layerfield.weights import WEIGHT_SUFFIX
 
 _KEY = "layerfield"  # of the metadata
+_FAR = 24  # unknowns that the matrix of a row reaches
 _STEPS = 4  # unless told otherwise
 
 
@@ -174,6 +177,17 @@ def steps_for(problem: Problem) -> Learned:
     return shipped_steps(f"{problem.link.name}-rows" if rows else problem.link.name)
 
 
+def takes_rows(problem: Problem) -> bool:
+    """Whether rows of pixels are solved as the small systems that they are, see `RowNewton`.
+
+    Where light adds up and views stand in a row, on a processor: a GPU would wait for one pixel of
+    a row after the other. What a step costs grows with the square of what the matrix reaches;
+    from some on, learned steps are as good sooner.
+    """
+    fits = problem.link.is_sum and serves_rows(problem.projection)
+    return fits and problem.device.type == "cpu" and row_reach(problem.projection) <= _FAR
+
+
 def warm_steps(count: int) -> WarmAdmm:
     """Return the steps of a frame that starts from the one before, where light adds up."""
     return WarmAdmm(shipped_steps("additive-warm").at_most(count).full)
@@ -183,9 +197,10 @@ def warm_steps(count: int) -> WarmAdmm:
 class FastMethod(SolverMethod):
     """Learned steps; see `LearnedAdmm`.
 
-    Where light adds up, an iteration is a step. Where it is multiplied, steps on logarithms are the
-    start, and an iteration is a Newton step, learned ones from given layers too; of displays with
-    subframes, which those do not serve, a sweep.
+    Where light adds up, an iteration is a step; where views stand in a row, too, one of
+    `RowNewton`, of which nothing is learned (see `takes_rows`). Where it is multiplied, steps on
+    logarithms are the start, and an iteration is a Newton step, learned ones from given layers too;
+    of displays with subframes, which those do not serve, a sweep.
     """
 
     @classmethod
@@ -195,7 +210,8 @@ class FastMethod(SolverMethod):
         return cls("fast", "direct solver with learned steps", _STEPS, links, _learned)
 
     def run(self, problem: Problem, display: Display, options: RunOptions) -> Solution:
-        solver = steps_for(problem).solver(options.iterations)
+        rows = takes_rows(problem)
+        solver = RowNewton() if rows else steps_for(problem).solver(options.iterations)
         if isinstance(solver, FourierNewton) and problem.subframes > 1:
             solver = solver.start
         return SolverMethod.run(replace(self, make=lambda _: solver), problem, display, options)

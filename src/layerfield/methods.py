@@ -17,6 +17,7 @@ from layerfield.display import Display
 from layerfield.links import LINKS, Link
 from layerfield.networks import Network
 from layerfield.networks.frame import tiled_pixels
+from layerfield.row_system import serves_rows
 from layerfield.shipped import Entry, find_shipped, load_shipped
 from layerfield.solve import Problem, Solution, Solver, State, solve
 from layerfield.solvers.sweeps import Sweeps
@@ -139,6 +140,20 @@ class SolverMethod(Method):
             callback=options.callback,
             history=options.history,
         )
+
+
+@dataclass(frozen=True)
+class RowsMethod(SolverMethod):
+    """A solver of rows of pixels by themselves: for displays whose views stand in a row."""
+
+    def refuse_unserved(self, display: Display) -> None:
+        super().refuse_unserved(display)
+        if not serves_rows(display.projection):
+            found = "{}x{}".format(*display.geometry.grid or (1, display.view_count))
+            raise ValueError(
+                f"method '{self.name}' needs views in a single row and layers that are only "
+                f"shifted, '{display.name}' has {found} views; take fourier-admm"
+            )
 
 
 @dataclass(frozen=True)

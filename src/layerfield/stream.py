@@ -9,7 +9,8 @@ with e the balanced start, every layer the mean of what its viewers see, and m t
 the middle of the viewers sees, found by block matching. What comes into the picture has the state
 that pixels near there have. Without m the dual holds pixels at bounds that have moved on, and a
 start can be worse than none. Where light adds up, `fast` has steps that were learned for such a
-start, and goes on where the steps of the frame before went: see `WarmAdmm`.
+start, and goes on where the steps of the frame before went: see `WarmAdmm`. Where views stand in
+a row, too, it starts from moved layers, and is near the optimum after a step: see `RowNewton`.
 Where the direct solver makes the start of every run and sweeps or Newton steps follow (links that
 are no sum), that start is better than moved layers: each frame has its own, and fewer of those.
 """
@@ -25,9 +26,9 @@ from torch.nn.functional import pad
 
 from layerfield.clock import Clock
 from layerfield.display import Display
-from layerfield.fast import FastMethod, warm_steps
+from layerfield.fast import FastMethod, takes_rows, warm_steps
 from layerfield.light_field import LightField
-from layerfield.methods import Method, RunOptions, SolverMethod, ToneMethod
+from layerfield.methods import Method, RowsMethod, RunOptions, SolverMethod, ToneMethod
 from layerfield.motion import block_motion, comes_from_inside, moved
 from layerfield.solve import Problem, Solution, Solver
 from layerfield.solvers.fourier_admm import AdmmState
@@ -73,10 +74,10 @@ def synthesize_frames(
     """Make the layers of one frame after the other, each as soon as its light field is there.
 
     The first frame, and the first after a cut, take the iterations that the method makes of itself,
-    twenty if those are fewer; networks, and what follows them, start anew in every frame. No more
-    than the frame before is kept. `Solution.details` says what a frame started from: "start" is
-    "cold", "cut" or "moved"; "unexplained" is the share of the variance of a frame that the moved
-    one before lacks.
+    or twenty where that is further from the optimum than frames come with time; networks, and what
+    follows them, start anew in every frame. No more than the frame before is kept.
+    `Solution.details` says what a frame started from: "start" is "cold", "cut" or "moved";
+    "unexplained" is the share of the variance of a frame that the moved one before lacks.
 
     Args:
         fields: the frames, all of one size.
@@ -146,7 +147,8 @@ def _next_frame(
 ) -> _Frame:
     clock, start, carried, details = Clock(problem.device), None, None, {}
     moves = not _starts_itself(method, display)
-    made, count = method, max(method.count(None), _FIRST if moves else 0)
+    lives_on = moves and not _solves_rows(method, problem)
+    made, count = method, max(method.count(None), _FIRST if lives_on else 0)
     with torch.no_grad(), clock:
         picture, even = seen_from_the_middle(problem), _summed(problem).even_start()
         if before is not None:
@@ -155,7 +157,7 @@ def _next_frame(
             if details["unexplained"] <= _CUT:
                 count = options.iterations
                 if moves:
-                    made = _warm(method, display, count)
+                    made = _warm(method, problem, count)
                     solver = made.make(display.link)
                     start, carried = _started(before, problem, even, motion, solver)
     run = made.run(problem, display, replace(options, init=start, iterations=count))
@@ -175,13 +177,19 @@ def _starts_itself(method: SolverMethod, display: Display) -> bool:
     return isinstance(method, ToneMethod) or isinstance(solver, FourierStart | NearestShifts)
 
 
+def _solves_rows(method: SolverMethod, problem: Problem) -> bool:
+    """Whether rows are solved by themselves, and are soon at the optimum."""
+    is_fast = isinstance(method, FastMethod)
+    return isinstance(method, RowsMethod) or (is_fast and takes_rows(problem))
+
+
 def _summed(problem: Problem) -> Problem:
     return problem if problem.link.is_sum else problem.in_sum_domain()
 
 
-def _warm(method: SolverMethod, display: Display, count: int) -> SolverMethod:
+def _warm(method: SolverMethod, problem: Problem, count: int) -> SolverMethod:
     """Return what makes the frames that have one before."""
-    if not isinstance(method, FastMethod):
+    if not isinstance(method, FastMethod) or takes_rows(problem):
         return method
     steps = warm_steps(max(count, 1))
     return SolverMethod(method.name, method.summary, count, method.links, lambda _: steps)

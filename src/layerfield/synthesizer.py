@@ -23,6 +23,7 @@ from layerfield.methods import (
     ChainMethod,
     Method,
     NetworkMethod,
+    RowsMethod,
     RunOptions,
     SolverMethod,
     ToneMethod,
@@ -36,6 +37,7 @@ from layerfield.solvers.gradient import Gradient
 from layerfield.solvers.nearest_shifts import NearestShifts
 from layerfield.solvers.nmf import Nmf
 from layerfield.solvers.ntf import Ntf
+from layerfield.solvers.row_newton import RowNewton
 from layerfield.solvers.sart import Sart
 from layerfield.solvers.sweeps import Sweeps
 from layerfield.solvers.tiled_admm import TiledAdmm
@@ -86,6 +88,13 @@ _SOLVERS = (
         _ANY,
         _in_tiles,
         lambda _: NearestShifts(FourierStart(TiledAdmm(), direct_iterations=4)),
+    ),
+    RowsMethod(
+        "row-newton",
+        "projected Newton steps, row by row: soon at the optimum where views stand in a row",
+        5,
+        _ADDITIVE,
+        lambda _: RowNewton(),
     ),
     _any_distance("gradient", "accelerated projected gradients", 100, _ANY, Gradient()),
     SolverMethod(

@@ -1,0 +1,197 @@
+"""Projected Newton steps where views stand in a row, and every row of pixels is a small system."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float64
+from torch import Tensor
+
+from layerfield.kernels.compiled import serve
+from layerfield.kernels.row_steps import CLOSE, RowRules, newton_steps
+from layerfield.row_system import serves_rows
+from layerfield.solve import Problem
+
+
+@dataclass(frozen=True, eq=False)
+class RowState:
+    """Layers, and how far their rows are.
+
+    Args:
+        layers: within bounds.
+        factors: what the penalty of every row is multiplied by.
+        count: steps made.
+    """
+
+    layers: Float[Tensor, "*batch 1 layer c ly lx"]
+    factors: Float[Tensor, "*batch 1 c ly"]
+    count: int = 0
+
+
+@dataclass(frozen=True)
+class RowNewton:
+    """Minimise E = 1/2 x^T H x - b^T x of every row within bounds, b = A^T W L.
+
+    H is a band matrix (`row_system`), so a system of some of its unknowns is solved exactly, at
+    the cost of a few products a pixel and no transform. Before the first step, and behind every
+    one, come sweeps: each unknown in turn takes its best place while the others stay,
+
+        x_i <- clamp(x_i + g_i / H_ii)        g = b - H x
+
+    which leaves no error but smooth ones. A step removes those. Unknowns whose own step would lead
+    past a bound go to it, the others take a Newton step for these places:
+
+        A = { i : x_i + g_i / W <= low or >= high },   p_A = bound - x_A
+        (H + rho I)_FF p_F = g_F - H_FA p_A,           x <- clamp(x + p)
+
+    rho keeps from going far what light says little about. A row whose energy has grown goes back to
+    where it was, and its rho grows; with every step that helps it falls again.
+
+    Active sets: Bertsekas, SIAM J. Control Optim. 20, 221 (1982). Sweeps between solutions of
+    subspaces: Silcowitz, Niebuhr Poulsen and Erleben, GRAPP 2010.
+
+    Args:
+        sweeps: before the first step and behind every step.
+        penalty: rho, as a share of the weights of all views.
+        growth: what rho of a row is multiplied by where a step did not help.
+    """
+
+    sweeps: int = 6
+    penalty: float = 6e-4
+    growth: float = 8.0
+
+    def init(self, problem: Problem, start: RowState | Tensor | None) -> RowState:
+        if not serves_rows(problem.projection):
+            raise ValueError(
+                "row-newton needs views in a single row, and eyes between them there, too; take "
+                "fourier-admm"
+            )
+        if isinstance(start, RowState):
+            return start
+        layers = problem.even_start() if start is None else start
+        layers = layers.clamp(*problem.bounds)
+        return RowState(layers, layers.new_ones(layers[..., 0, :, :, 0].shape))
+
+    def step(self, problem: Problem, state: RowState) -> RowState:
+        return self.steps(problem, state, 1)
+
+    def steps(self, problem: Problem, state: RowState, count: int) -> RowState:
+        data, weight = problem.back_projected, sum(problem.weights)
+        rules = RowRules(
+            first=0 if state.count else self.sweeps,
+            sweeps=self.sweeps,
+            steps=count,
+            share=np.float32(1 / weight),
+            prox=np.float32(self.penalty * weight),
+            growth=np.float32(self.growth),
+            bounds=np.array(problem.bounds, np.float32),
+        )
+        if serve(data, state.layers):
+            matrix = problem.constants.row_matrix
+            made = newton_steps(state.layers, data, state.factors, matrix, rules)
+        else:
+            made = _plain_steps(state, data, problem.constants.row_entries, rules)
+        return RowState(*made, state.count + count)
+
+    def layers(self, problem: Problem, state: RowState) -> Float[Tensor, "*batch 1 layer c ly lx"]:
+        return state.layers
+
+
+def _plain_steps(
+    state: RowState, data: Tensor, entries: Float64[np.ndarray, "unknown ahead"], rules: RowRules
+) -> tuple[Tensor, Tensor]:
+    """Return layers and what the penalty is multiplied by after some steps, in PyTorch."""
+    ahead = torch.from_numpy(entries).to(data)
+    rows = _Rows(ahead, _to_rows(data), tuple(rules.bounds.tolist()))
+    x, factors = _to_rows(state.layers), state.factors
+    for _ in range(rules.first):
+        x = rows.swept(x)
+    for _ in range(rules.steps):
+        prox = (factors * rules.prox.item())[..., None]
+        made = rows.stepped(x, prox, rules.share.item())
+        for _ in range(rules.sweeps):
+            made = rows.swept(made)
+        before, after = rows.energy(x), rows.energy(made)
+        is_worse = after > before + CLOSE * before.abs()
+        x = torch.where(is_worse[..., None], x, made)
+        easier = (factors / 2).clamp(min=1)
+        factors = torch.where(is_worse, factors * rules.growth.item(), easier)
+    return _from_rows(x, data.shape[-4]), factors
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """All rows side by side; formulas as of `RowNewton`.
+
+    Args:
+        ahead: H_id.
+        data: b.
+        bounds: of unknowns.
+    """
+
+    ahead: Float[Tensor, "unknown ahead"]
+    data: Float[Tensor, "*row unknown"]
+    bounds: tuple[float, float]
+
+    def fall(self, x: Float[Tensor, "*row unknown"]) -> Float[Tensor, "*row unknown"]:
+        """Return g."""
+        result = self.data - self.ahead[:, 0] * x
+        number = len(self.ahead)
+        for d, entries in enumerate(self.ahead.T[1:], start=1):
+            near, far = slice(number - d), slice(d, number)
+            result[..., near] -= entries[near] * x[..., far]
+            result[..., far] -= entries[near] * x[..., near]
+        return result
+
+    def energy(self, x: Float[Tensor, "*row unknown"]) -> Float[Tensor, "*row"]:
+        """Return E of every row, in double precision."""
+        return -0.5 * (x * (self.data + self.fall(x))).sum(dim=-1, dtype=torch.float64)
+
+    def swept(self, x: Float[Tensor, "*row unknown"]) -> Float[Tensor, "*row unknown"]:
+        """Return what one unknown after the other makes of x."""
+        made, ahead = x.clone(), self.ahead
+        number, reach = len(ahead), ahead.shape[1] - 1
+        for i in range(number):
+            far, near = min(reach, number - 1 - i), min(reach, i)
+            if ahead[i, 0] > 0:
+                known = made[..., i : i + far + 1] @ ahead[i, : far + 1]
+                for d in range(1, near + 1):
+                    known = known + ahead[i - d, d] * made[..., i - d]
+                moved = made[..., i] + (self.data[..., i] - known) / ahead[i, 0]
+                made[..., i] = moved.clamp(*self.bounds)
+        return made
+
+    def stepped(
+        self, x: Float[Tensor, "*row unknown"], prox: Float[Tensor, "*row 1"], share: float
+    ) -> Float[Tensor, "*row unknown"]:
+        """Return x after a Newton step: elimination from the first to the last, and back."""
+        (low, high), fall = self.bounds, self.fall(x)
+        tried = x + share * fall
+        goes_low = tried <= low
+        stays = goes_low | (tried >= high)
+        bound = torch.where(goes_low, low, high) - x
+        number, reach = len(self.ahead), self.ahead.shape[1] - 1
+        left, factors, moves = list[Tensor](), list[Tensor](), [*fall.unbind(dim=-1)]
+        for i, entries in enumerate(self.ahead):
+            row = entries.expand(*x.shape[:-1], -1).clone()
+            for e in range(1, min(reach, i) + 1):
+                row[..., : reach + 1 - e] += factors[i - e][..., e : e + 1] * left[i - e][..., e:]
+                moves[i] = moves[i] - left[i - e][..., e] * moves[i - e]
+            own = row[..., :1] + prox
+            moves[i] = torch.where(stays[..., i], bound[..., i], moves[i] / own[..., 0])
+            left.append(row)
+            factors.append(torch.where(stays[..., i : i + 1], 0, -row / own))
+        for i in reversed(range(number)):
+            for d in range(1, min(reach, number - 1 - i) + 1):
+                moves[i] = moves[i] + factors[i][..., d] * moves[i + d]
+        return (x + torch.stack(moves, dim=-1)).clamp(low, high)
+
+
+def _to_rows(layers: Float[Tensor, "*batch layer c y x"]) -> Float[Tensor, "*batch c y unknown"]:
+    return layers.movedim(-4, -1).flatten(-2)
+
+
+def _from_rows(
+    rows: Float[Tensor, "*batch c y unknown"], count: int
+) -> Float[Tensor, "*batch layer c y x"]:
+    return rows.unflatten(-1, (-1, count)).movedim(-1, -4)

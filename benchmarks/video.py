@@ -1,11 +1,11 @@
 """Excess error of every frame of a video, warm and cold, and what a frame costs.
 
-    python benchmarks/video.py OUT.json [VIDEO ...] [--car FOLDER]
+    python benchmarks/video.py OUT.json [VIDEO ...] [--views 5x5] [--car FOLDER]
 
-Frames of 96x256 on a 1x5 display at disparities 1, 0, -1: panned crops of a wide scene, a camera
-that moves sideways, things that go their own ways, noise, a cut, a fence that moves by half of its
-period; with --car, "car" is the first eleven windows of 1x5 that slide over the 1x25 views of that
-light field. Every other frame from the sixth on is judged, two of the car.
+Frames of 96x256 on a display of 1x5 views, or others, at disparities 1, 0, -1: panned crops of a
+wide scene, a camera that moves sideways, things that go their own ways, noise, a cut, a fence that
+moves by half of its period; with --car, "car" is the first eleven windows of 1x5 that slide over
+the 1x25 views of that light field. Every other frame from the sixth on is judged, two of the car.
 """
 
 import argparse
@@ -21,6 +21,7 @@ from torch import Tensor
 from layerfield import (
     DisparitySpec,
     Display,
+    Geometry,
     LightField,
     excess,
     load_light_field,
@@ -40,38 +41,42 @@ from layerfield.solvers.warm_admm import Left, moved_start
 from layerfield.stream import seen_from_the_middle
 from layerfield.synthesizer import pose
 
-GRID, SIZE, FRAMES, SETTLED = (1, 5), (96, 256), 14, 5
+SIZE, FRAMES, SETTLED = (96, 256), 14, 5
+ROW = (1, 5)
 LARGE = (480, 640)  # where the parts of a frame are timed
 # Frames from one that is judged to the next: two, but for the cut, at frame 8, and what is large.
 EVERY = {"cut": 8, "car": 5}
-WARM = {"fast": (3, 4, 6), "fourier-admm": (3,)}
-COLD = {"fast": (3, 4, 5, 6, 8)}
-SHOWN = Display(
-    DisparitySpec.model_validate(
-        {"name": "row", "link": "additive", "disparity": (1.0, 0.0, -1.0), "views": GRID}
-    )
-)
-GEOMETRY = SHOWN.geometry
+WARM = {"fast": (1, 2, 3, 4, 6), "fourier-admm": (3,)}
+COLD = {"fast": (1, 2, 3, 4, 6, 8)}
 
 
-def pan(x: int, y: int, seed: int) -> Tensor:
-    return panned(GEOMETRY, (x, y), FRAMES, size=SIZE, seed=seed)
+def display(views: tuple[int, int]) -> Display:
+    values = {"name": "shown", "link": "additive", "disparity": (1.0, 0.0, -1.0), "views": views}
+    return Display(DisparitySpec.model_validate(values))
 
 
-def travel(step: float, seed: int) -> Tensor:
-    return travelled(GEOMETRY, step, FRAMES, size=SIZE, seed=seed)
+def pan(geometry: Geometry, x: int, y: int, seed: int) -> Tensor:
+    return panned(geometry, (x, y), FRAMES, size=SIZE, seed=seed)
 
 
-def animation(speed: float, seed: int) -> Tensor:
-    return animated(GEOMETRY, speed, FRAMES, size=SIZE, seed=seed)
+def travel(geometry: Geometry, step: float, seed: int) -> Tensor:
+    return travelled(geometry, step, FRAMES, size=SIZE, seed=seed)
 
 
-def noise(sigma: float, seed: int) -> Tensor:
-    views = pan(0, 0, seed)
+def animation(geometry: Geometry, speed: float, seed: int) -> Tensor:
+    return animated(geometry, speed, FRAMES, size=SIZE, seed=seed)
+
+
+def cut(geometry: Geometry) -> Tensor:
+    return torch.cat([pan(geometry, 1, 0, 11)[:8], pan(geometry, 1, 0, 20)[:10]])
+
+
+def noise(geometry: Geometry, sigma: float, seed: int) -> Tensor:
+    views = pan(geometry, 0, 0, seed)
     return views + sigma * torch.randn(views.shape, generator=torch.Generator().manual_seed(seed))
 
 
-def fence(seed: int) -> Tensor:
+def fence(geometry: Geometry, seed: int) -> Tensor:
     """Bars 8 px apart, 1 view step nearer than what is behind them, panned by 4 px a frame."""
     generator = torch.Generator().manual_seed(seed)
     height, width = SIZE[0], SIZE[1] + 4 * FRAMES
@@ -86,32 +91,32 @@ def fence(seed: int) -> Tensor:
         size=(height, width),
         silhouettes=outlines.expand(2, 2 * height, 2 * width),
     )
-    views = render(scene, GEOMETRY.slopes)[0]
+    views = render(scene, geometry.slopes)[0]
     return torch.stack([views[..., 4 * t : 4 * t + SIZE[1]] for t in range(FRAMES)])
 
 
-VIDEOS: dict[str, Callable[[], Tensor]] = {
-    "pan 1 px": lambda: pan(1, 0, 11),
-    "pan 3 px": lambda: pan(3, 0, 12),
-    "pan 4, 2 px": lambda: pan(4, 2, 13),
-    "travel 0.4 views": lambda: travel(0.4, 14),
-    "travel 1 view": lambda: travel(1.0, 16),
-    "travel 3 views": lambda: travel(3.0, 17),
-    "things to 3 px": lambda: animation(3.0, 18),
-    "noise 0.01": lambda: noise(0.01, 19),
-    "cut": lambda: torch.cat([pan(1, 0, 11)[:8], pan(1, 0, 20)[:10]]),
-    "fence": lambda: fence(21),
+VIDEOS: dict[str, Callable[[Geometry], Tensor]] = {
+    "pan 1 px": lambda g: pan(g, 1, 0, 11),
+    "pan 3 px": lambda g: pan(g, 3, 0, 12),
+    "pan 4, 2 px": lambda g: pan(g, 4, 2, 13),
+    "travel 0.4 views": lambda g: travel(g, 0.4, 14),
+    "travel 1 view": lambda g: travel(g, 1.0, 16),
+    "travel 3 views": lambda g: travel(g, 3.0, 17),
+    "things to 3 px": lambda g: animation(g, 3.0, 18),
+    "noise 0.01": lambda g: noise(g, 0.01, 19),
+    "cut": cut,
+    "fence": lambda g: fence(g, 21),
 }
 
 
-def fields(views: Tensor) -> list[LightField]:
+def fields(views: Tensor, grid: tuple[int, int]) -> list[LightField]:
     codes = views.clamp(0, 1).mul(255).round().to(torch.uint8)
-    return [LightField(frame, GRID) for frame in codes]
+    return [LightField(frame, grid) for frame in codes]
 
 
 def car(folder: Path) -> list[LightField]:
     stored = load_light_field(folder).stored
-    return [LightField(stored[i : i + 5], GRID) for i in range(11)]
+    return [LightField(stored[i : i + 5], ROW) for i in range(11)]
 
 
 @dataclass(frozen=True)
@@ -196,14 +201,24 @@ def median_seconds(work: Callable[[], object]) -> float:
     return statistics.median(seconds[1:])
 
 
+def _grid(text: str) -> tuple[int, int]:
+    rows, _, columns = text.partition("x")
+    return int(rows), int(columns)
+
+
 def told(name: str, made: dict) -> str:
     runs = made["runs"].items()
     return f"{name}: " + ", ".join(f"{run} {row['max']:.1%}" for run, row in runs)
 
 
-def main(out: Path, names: list[str], of_car: list[LightField] | None) -> None:
+def main(
+    out: Path, names: list[str], views: tuple[int, int], of_car: list[LightField] | None
+) -> None:
     torch.set_num_threads(1)
-    parts = {name: lambda name=name: fields(VIDEOS[name]()) for name in VIDEOS}
+    shown = display(views)
+    parts = {
+        name: lambda make=make: fields(make(shown.geometry), views) for name, make in VIDEOS.items()
+    }
     parts |= {"car": lambda: of_car} if of_car else {}
     found: dict[str, dict] = {}
     record = {
@@ -212,6 +227,7 @@ def main(out: Path, names: list[str], of_car: list[LightField] | None) -> None:
                 "python benchmarks/video.py",
                 out.name,
                 *names,
+                *(["--views {}x{}".format(*views)] if views != ROW else []),
                 *(["--car FOLDER"] if of_car else []),
             ]
         ),
@@ -220,10 +236,10 @@ def main(out: Path, names: list[str], of_car: list[LightField] | None) -> None:
         "seconds": {},
         "videos": found,
     }
-    large = panned(GEOMETRY, (0, 0), 1, size=LARGE, seed=11)
-    record["seconds"] = {"size": LARGE} | share_of_a_step(SHOWN, fields(large)[0])
+    large = panned(shown.geometry, (0, 0), 1, size=LARGE, seed=11)
+    record["seconds"] = {"size": LARGE} | share_of_a_step(shown, fields(large, views)[0])
     for name in names or parts:
-        judged = Judged.of(parts[name](), SHOWN, EVERY.get(name, 2))
+        judged = Judged.of(parts[name](), shown, EVERY.get(name, 2))
         found[name] = figures(judged)
         print(told(name, found[name]), flush=True)
         with whole_file(out, force=True) as temporary:
@@ -234,13 +250,16 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="excess error of videos")
     parser.add_argument("out", type=Path)
     parser.add_argument("videos", nargs="*", metavar="VIDEO", help=", ".join(VIDEOS))
-    parser.add_argument("--car", type=Path)
+    parser.add_argument("--views", type=_grid, default=ROW, metavar="ROWSxCOLUMNS")
+    parser.add_argument("--car", type=Path, help="views in a row; for those of 1x5")
     given = parser.parse_args()
     known = [*VIDEOS, *(["car"] if given.car else [])]
+    if given.car and given.views != ROW:
+        parser.error("the car has views in a row; leave out --car or --views")
     if unknown := [name for name in given.videos if name not in known]:
         parser.error(f"found video '{unknown[0]}', expected any of: {', '.join(known)}")
     try:
         frames = car(given.car) if given.car else None
     except ValueError as error:
         parser.error(str(error))
-    main(given.out, given.videos, frames)
+    main(given.out, given.videos, given.views, frames)

@@ -144,6 +144,17 @@ def test_the_same_on_any_number_of_threads(field):
     assert torch.equal(made[0], made[2])
 
 
+def test_a_start_may_lie_in_memory_in_any_order(field):
+    problem = Problem.of(display(), field.views)
+    start = torch.rand(problem.layer_shape, generator=torch.Generator().manual_seed(3))
+    turned = start.mT.contiguous().mT
+    assert not turned.is_contiguous()
+    made, other = (
+        solve(problem, RowNewton(), iterations=1, init=x).layers for x in (start, turned)
+    )
+    assert torch.equal(made, other)
+
+
 def test_going_on_is_as_never_stopped(field):
     shown = display()
     whole = synthesize(field, shown, method="row-newton", iterations=5)

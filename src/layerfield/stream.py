@@ -26,7 +26,7 @@ from torch.nn.functional import pad
 
 from layerfield.clock import Clock
 from layerfield.display import Display
-from layerfield.fast import FastMethod, takes_rows, warm_steps
+from layerfield.fast import FastMethod, takes_rows, warm_rows, warm_steps
 from layerfield.light_field import LightField
 from layerfield.methods import Method, RowsMethod, RunOptions, SolverMethod, ToneMethod
 from layerfield.motion import block_motion, comes_from_inside, moved
@@ -189,9 +189,9 @@ def _summed(problem: Problem) -> Problem:
 
 def _warm(method: SolverMethod, problem: Problem, count: int) -> SolverMethod:
     """Return what makes the frames that have one before."""
-    if not isinstance(method, FastMethod) or takes_rows(problem):
+    if not isinstance(method, FastMethod):
         return method
-    steps = warm_steps(max(count, 1))
+    steps = warm_rows() if takes_rows(problem) else warm_steps(max(count, 1))
     return SolverMethod(method.name, method.summary, count, method.links, lambda _: steps)
 
 

@@ -7,6 +7,7 @@ Eight rows go together (`row_lanes`), and all steps of theirs are made while the
 from typing import NamedTuple
 
 import numpy as np
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -101,7 +102,8 @@ def newton_steps(
         matrix: H.
         rules: how steps are made.
     """
-    made, by_row = layers.clone(), factors.clone()
+    known = torch.contiguous_format
+    made, by_row = (each.clone(memory_format=known) for each in (layers, factors))
     shape = layers.shape[-4:]
     planes, seen = (each.reshape(-1, *shape).numpy() for each in (made, data.contiguous()))
     rows = by_row.view(-1, *factors.shape[-2:]).numpy()

@@ -149,10 +149,11 @@ class RowsMethod(SolverMethod):
     def refuse_unserved(self, display: Display) -> None:
         super().refuse_unserved(display)
         if not serves_rows(display.projection):
-            found = "{}x{}".format(*display.geometry.grid or (1, display.view_count))
+            grid = display.geometry.grid
+            found = "viewpoints of its own" if grid is None else "{}x{} views".format(*grid)
             raise ValueError(
                 f"method '{self.name}' needs views in a single row and layers that are only "
-                f"shifted, '{display.name}' has {found} views; take fourier-admm"
+                f"shifted, '{display.name}' has {found}; take fourier-admm"
             )
 
 

@@ -45,7 +45,7 @@ def find_fall(
         fall: g.
         unknown: i.
     """
-    found = _left(builder, (offsets, entries, taps), x, data, unknown)
+    found = _fall(builder, (offsets, entries, taps), x, data, unknown)
     _put(fall, builder, unknown, found)
 
 
@@ -79,7 +79,7 @@ def relax(
         unknown: i.
         reach: of H.
     """
-    found = _left(builder, (offsets, entries, taps), x, data, unknown)
+    found = _fall(builder, (offsets, entries, taps), x, data, unknown)
     share = everywhere(builder, inverses.read(unknown, _FLOAT))
     place = builder.add(unknown, reach)
     moved = _plus(builder, _get(x, builder, place), share, found)
@@ -101,7 +101,7 @@ def eliminate(
 ) -> None:
     """Take unknowns before this one out of its equation.
 
-        S_id = H_id + sum_e T_(i-e)e S_(i-e)(d+e),   p_i <- p_i + sum_e T_(i-e)e p_(i-e)
+        S_id = H_id + sum_e T_(i-e)e S_(i-e)(d+e),   p_i <- p_i - sum_e S_(i-e)e p_(i-e)
 
     S_id is what is left of H between i and i + d, T = -S_id / (S_i0 + rho), or 0 where an unknown
     does not move: see `settle`.
@@ -246,7 +246,7 @@ def substitute(
     _put(x, builder, place, _clamped(builder, moved, bounds))
 
 
-def _left(
+def _fall(
     builder: Any, matrix: tuple[Memory, Memory, Any], x: Memory, data: Memory, unknown: Any
 ) -> Any:
     """Return b_i - (H x)_i."""

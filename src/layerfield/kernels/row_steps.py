@@ -102,8 +102,8 @@ def newton_steps(
         matrix: H.
         rules: how steps are made.
     """
-    known = torch.contiguous_format
-    made, by_row = (each.clone(memory_format=known) for each in (layers, factors))
+    lined_up = torch.contiguous_format
+    made, by_row = (each.clone(memory_format=lined_up) for each in (layers, factors))
     shape = layers.shape[-4:]
     planes, seen = (each.reshape(-1, *shape).numpy() for each in (made, data.contiguous()))
     rows = by_row.view(-1, *factors.shape[-2:]).numpy()

@@ -20,19 +20,20 @@ from layerfield.bench.road import (
 )
 from layerfield.bench.throughput import displays
 from layerfield.display_spec import parse_spec
-from layerfield.fast import shipped_steps, steps_for
+from layerfield.fast import shipped_steps, solver_for, takes_sweeps
 from layerfield.kept_views import KeptViews
+from layerfield.kernels import sweep_passes
 from layerfield.kernels.blends import Blend, Shares
 from layerfield.kernels.compiled import plain
 from layerfield.kernels.gpu import serving
-from layerfield.panels import quantise
+from layerfield.panels import largest_code, quantise
 from layerfield.projection import Projection
 from layerfield.scenes import procedural_light_field
 from layerfield.solve import solve
 from layerfield.solvers.newton_admm import NewtonAdmm, NewtonState, slope
-from layerfield.solvers.sweeps import best_layer
+from layerfield.solvers.sweeps import Sweeps, best_layer
 from layerfield.synthesizer import SOLVERS
-from layerfield.transfer import NONE, Srgb
+from layerfield.transfer import NONE, Curve, Gamma, Srgb
 
 pytest.importorskip("triton")
 from layerfield.kernels.gpu import colour_paths
@@ -42,6 +43,7 @@ DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 SIZE = (6, 13)
 SHOWN = (96, 130)  # what whole methods make layers of
 VALUES = KeptViews._values
+CURVE = Curve(((0.0, 0.01), (0.5, 0.3), (1.0, 1.0)))
 
 
 @pytest.fixture(autouse=True)
@@ -264,24 +266,82 @@ def test_newton_steps_of_three_colours(disparity, views, transfer, weights):
         torch.testing.assert_close(found.error, expected.error, rtol=5e-4, atol=0)
 
 
+@pytest.mark.parametrize(
+    ("disparity", "views", "transfer", "weights"),
+    [
+        ("[1, 0, -1]", (3, 3), "none", None),
+        ("[1, 0, -1]", (3, 3), "srgb", WEIGHTS[1]),
+        ("[2, -1]", (1, 3), "none", [1.0, 0.0, 2.0]),
+    ],
+)
+def test_sweeps_of_three_colours(disparity, views, transfer, weights):
+    """Pixels that shine through others are rounded to ten bits, those that are asked for are not.
+
+    One light field of a batch goes uphill in between.
+    """
+    batch = (2,) if weights is None else ()
+    problem = posed(
+        "multiplicative", disparity, views, batch=batch, size=(9, 41), transfer=transfer,
+        weights=weights, channels=3,
+    )  # fmt: skip
+    layers = drawn(problem.layer_shape) * 0.8 + 0.2
+    assert sweep_passes.serve_colours(problem.light_paths, layers, problem.bounds)
+    solver, counts = Sweeps(), list[torch.Tensor]()
+    state = solver.init(problem, layers)
+    if batch:
+        last = torch.stack([layers[0], 2 * layers[1] - 1])
+        state = replace(state, last=last, push=state.push + 1)
+    for _ in range(3):
+        with plain():
+            expected = solver.step(problem, state)
+        state = solver.step(problem, state)
+        apart = (state.layers - expected.layers).abs()
+        assert apart.mean() < 5e-4
+        assert apart.max() < 1e-2
+        assert torch.equal(state.count, expected.count)
+        assert torch.equal(state.push, expected.push)
+        counts.append(state.count.flatten())
+    assert not batch or len({tuple(each.tolist()) for each in counts}) > 1
+
+
+def test_pixels_that_nobody_sees_stay_in_sweeps():
+    problem = posed("multiplicative", "[3, 0]", (1, 2), size=(4, 33), channels=3)
+    layers = drawn(problem.layer_shape)
+    unseen = (problem.coverage == 0).expand_as(layers)
+    assert unseen.any()
+    close(
+        Sweeps().step(problem, Sweeps().init(problem, layers)).layers[unseen], layers[unseen], 1e-3
+    )
+
+
 def test_what_colours_do_not_serve():
     grey, between = posed("multiplicative"), posed("multiplicative", "[1.5, -0.25]", channels=3)
     for each in (grey, between):
         assert not colour_paths.serves(each.light_paths, each.bounds)
+        layers = drawn(each.layer_shape)
+        assert not sweep_passes.serve_colours(each.light_paths, layers, each.bounds)
+        assert not takes_sweeps(each)
     many = posed("multiplicative", "[3, 2, 1, 0, -1, -2]", channels=3)  # compiled for minutes
     assert not colour_paths.serves(many.light_paths, many.bounds)
     colours = posed("multiplicative", channels=3)
+    assert takes_sweeps(colours)
+    assert not takes_sweeps(replace(colours, subframes=2))
     assert not colour_paths.serves(colours.light_paths, (0.0, 0.5))
 
 
 @pytest.mark.parametrize("bits", [8, 16])
-@pytest.mark.parametrize("transfer", [NONE, Srgb()])
+@pytest.mark.parametrize("transfer", [NONE, Srgb(), Gamma(2.2), CURVE])
 def test_codes(transfer, bits):
+    """Of what a power makes, some are so near to a half that they go to the other side of it."""
     light = drawn((3, 5, 700)) * 1.2 - 0.1
     light[0, 0, :4] = torch.tensor([0.5, 1.5, 2.5, 3.5]) / 255  # halves
     with plain():
         expected = quantise(light, bits, transfer)
-    assert torch.equal(quantise(light, bits, transfer), expected)
+    made = quantise(light, bits, transfer)
+    if transfer in (NONE, CURVE):
+        assert torch.equal(made, expected)
+    exact = transfer.encode(light.double()).clamp(0, 1) * largest_code(bits)
+    assert (made.double() - exact).abs().max() < 0.5 + 2e-7 * largest_code(bits) * 4
 
 
 @pytest.mark.skipif(DEVICE == "cpu", reason="there is no GPU")
@@ -303,10 +363,7 @@ def test_methods_make_the_same_layers(views, link, method, transfer, monkeypatch
     problem, again = (
         posed(link, views=views, batch=(2,), size=SHOWN, transfer=transfer) for _ in range(2)
     )
-    if method == "fast":
-        solver = steps_for(problem).solver(3)
-    else:
-        solver = SOLVERS[method].make(problem.link)
+    solver = solver_for(problem, 3) if method == "fast" else SOLVERS[method].make(problem.link)
     with plain(), monkeypatch.context() as patch:
         patch.setattr(KeptViews, "_values", rounded_values)
         expected = solve(again, solver, iterations=3).layers

@@ -22,6 +22,7 @@ from torch import Tensor
 
 from layerfield.display import Display
 from layerfield.io.safe_output import whole_file
+from layerfield.kernels import sweep_passes
 from layerfield.links import LINKS, Link, Multiplicative
 from layerfield.methods import RunOptions, SolverMethod
 from layerfield.row_system import row_reach, serves_rows
@@ -33,12 +34,14 @@ from layerfield.solvers.learned_admm import LearnedAdmm
 from layerfield.solvers.newton_admm import FourierNewton, NewtonAdmm
 from layerfield.solvers.relief import Relief
 from layerfield.solvers.row_newton import RowNewton
+from layerfield.solvers.sweeps import Sweeps
 from layerfield.solvers.warm_admm import WarmAdmm
 from layerfield.weights import WEIGHT_SUFFIX
 
 _KEY = "layerfield"  # of the metadata
 _FAR = 24  # unknowns that the matrix of a row reaches
 _STEPS = 4  # unless told otherwise
+_SWEEPS = 2  # of an iteration, where they are quick: better than a Newton step, and sooner
 
 
 @dataclass(frozen=True)
@@ -188,6 +191,27 @@ def takes_rows(problem: Problem) -> bool:
     return fits and problem.device.type == "cpu" and row_reach(problem.projection) <= _FAR
 
 
+def takes_sweeps(problem: Problem) -> bool:
+    """Whether sweeps are so quick that they follow the start where light is multiplied.
+
+    A GPU makes two while it makes a Newton step; on a processor a sweep takes longer than a step.
+    """
+    like = problem.views.like.new_empty(problem.subframes, 0, 0, 0, 0)
+    return sweep_passes.serve_colours(problem.light_paths, like, problem.bounds)
+
+
+def solver_for(problem: Problem, count: int) -> Solver:
+    """Return what makes so many iterations for a display, or goes on from given layers."""
+    if takes_rows(problem):
+        return RowNewton()
+    solver = steps_for(problem).solver(count)
+    if not isinstance(solver, FourierNewton):
+        return solver
+    if takes_sweeps(problem):
+        return replace(solver.start, refine=Sweeps(sweeps=_SWEEPS))
+    return solver.start if problem.subframes > 1 else solver
+
+
 def warm_steps(count: int) -> WarmAdmm:
     """Return the steps of a frame that starts from the one before, where light adds up."""
     return WarmAdmm(shipped_steps("additive-warm").at_most(count).full)
@@ -209,7 +233,8 @@ class FastMethod(SolverMethod):
     Where light adds up, an iteration is a step; where views stand in a row, too, one of
     `RowNewton`, of which nothing is learned (see `takes_rows`). Where it is multiplied, steps on
     logarithms are the start, and an iteration is a Newton step, learned ones from given layers too;
-    of displays with subframes, which those do not serve, a sweep.
+    on a GPU two sweeps (see `takes_sweeps`), and of displays with subframes, which Newton steps do
+    not serve, a sweep.
     """
 
     @classmethod
@@ -219,10 +244,7 @@ class FastMethod(SolverMethod):
         return cls("fast", "direct solver with learned steps", _STEPS, links, _learned)
 
     def run(self, problem: Problem, display: Display, options: RunOptions) -> Solution:
-        rows = takes_rows(problem)
-        solver = RowNewton() if rows else steps_for(problem).solver(options.iterations)
-        if isinstance(solver, FourierNewton) and problem.subframes > 1:
-            solver = solver.start
+        solver = solver_for(problem, options.iterations)
         return SolverMethod.run(replace(self, make=lambda _: solver), problem, display, options)
 
 

@@ -29,11 +29,12 @@ def quantise(
     layers: Float[Tensor, "*batch c y x"], bits: int, transfer: Transfer = NONE
 ) -> UInt[Tensor, "*batch c y x"]:
     """Round layers, light from 0 to 1, to the nearest codes of a panel."""
-    values = transfer.encode(layers)
-    if on_gpu(values):
-        from layerfield.kernels.gpu.codes import codes_of as codes_on_gpu  # noqa: PLC0415  needs Triton
+    if on_gpu(layers):
+        from layerfield.kernels.gpu import codes  # noqa: PLC0415  needs Triton
 
-        return codes_on_gpu(values, largest_code(bits), _DTYPES[bits])
+        if codes.serves(transfer):
+            return codes.codes_of(layers, largest_code(bits), _DTYPES[bits], transfer)
+    values = transfer.encode(layers)
     if serve(values):
         return codes_of(values, largest_code(bits), _DTYPES[bits])
     codes = values * largest_code(bits)

@@ -8,9 +8,13 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from layerfield.kernels.compiled import compiled
+from layerfield.kernels.compiled import compiled, serve
+from layerfield.kernels.gpu.serving import on_gpu
+from layerfield.kernels.light_paths import LightPaths
+from layerfield.links import Multiplicative
 
 Layers = Float[Tensor, "*batch 1 layer c ly lx"]
+Subframes = Float[Tensor, "*batch subframe layer c ly lx"]
 One = Float[Tensor, "*batch 1 1 c ly lx"]
 
 _ZERO = np.float32(0)
@@ -57,12 +61,12 @@ def leads_uphill(ahead: Layers, layers: Layers, last: Layers) -> Bool[Tensor, "*
     return found.view(*layers.shape[:-5], 1, 1, 1, 1, 1)
 
 
-def extrapolated(
-    layers: Layers,
-    last: Layers,
+def ahead(
+    layers: Subframes,
+    last: Subframes,
     push: Float[Tensor, "*batch 1 1 1 1 1"],
     bounds: tuple[float, float],
-) -> Layers:
+) -> Subframes:
     """Return clamp(P + push (P - P of one sweep ago)).
 
     Args:
@@ -71,11 +75,40 @@ def extrapolated(
         push: share of the change.
         bounds: of pixels.
     """
+    if not (serve(layers, last) and layers.is_contiguous() and last.is_contiguous()):
+        return (layers - last).mul_(push).add_(layers).clamp_(*bounds)
     result = torch.empty_like(layers)
     made, *seen = (_by_row(each) for each in (result, layers, last))
     given = made, *seen, push.flatten().numpy(), _bounds(bounds)
     _extrapolate_rows.in_spans(*given, count=math.prod(made.shape[:2]), numbers=3 * layers.numel())
     return result
+
+
+def serve_colours(paths: LightPaths, layers: Subframes, bounds: tuple[float, float]) -> bool:
+    """Whether `swept_colours` serves: on a GPU, 8-bit views of three colours, a product."""
+    product = isinstance(paths.link, Multiplicative)
+    if not (product and paths.serve(layers) and on_gpu(layers)):
+        return False
+    from layerfield.kernels.gpu.colour_paths import serves  # noqa: PLC0415  needs Triton
+
+    return serves(paths, bounds)
+
+
+def swept_colours(
+    paths: LightPaths, layers: Layers, last: Layers, push: Float[Tensor, "*batch 1 1 1 1 1"]
+) -> tuple[Layers, Bool[Tensor, "*batch 1 1 1 1 1"]]:
+    """Return the layers after a whole sweep, and what `leads_uphill` does; see `serve_colours`.
+
+    Args:
+        paths: from the layers to the views.
+        layers: P.
+        last: where the sweep before ended.
+        push: as of `ahead`, where this one begins.
+    """
+    from layerfield.kernels.gpu.colour_sweeps import swept  # noqa: PLC0415  needs Triton
+
+    moved, uphill = swept(paths, layers, last, push)
+    return moved, uphill.view(push.shape)
 
 
 def _by_layer(layers: Tensor) -> np.ndarray:

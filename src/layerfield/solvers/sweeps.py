@@ -18,14 +18,15 @@ _PASSES = 3  # through several subframes of a layer in a step; they cost nothing
 
 @dataclass(frozen=True, eq=False)
 class SweepsState:
-    """Layers after the last sweep, the extrapolated point, and the sweeps since a restart.
+    """Layers after the last sweep and the one before, the next push, the sweeps since a restart.
 
-    There is a count for every light field of a batch, where the layers are: to look at them would
-    be to wait for a GPU.
+    The next sweep begins at clamp(layers + push (layers - last)). There are a push and a count for
+    every light field of a batch, where the layers are: to look at them would be to wait for a GPU.
     """
 
     layers: Float[Tensor, "*batch subframe layer c ly lx"]
-    ahead: Float[Tensor, "*batch subframe layer c ly lx"]
+    last: Float[Tensor, "*batch subframe layer c ly lx"]
+    push: Float[Tensor, "*batch 1 1 1 1 1"]
     count: Float[Tensor, "*batch 1 1 1 1 1"]
 
 
@@ -45,48 +46,52 @@ class Sweeps:
 
     Args:
         momentum: the largest extrapolation, as a share of the last change; 0 for plain sweeps.
+        sweeps: of a step.
     """
 
     momentum: float = 0.9
+    sweeps: int = 1
 
     def init(self, problem: Problem, start: SweepsState | Tensor | None) -> SweepsState:
         if isinstance(start, SweepsState):
             return start
-        layers = problem.flat_start() if start is None else start.clone()
-        return SweepsState(layers, layers, layers.new_zeros(*layers.shape[:-5], 1, 1, 1, 1, 1))
+        layers = problem.flat_start() if start is None else start
+        none = layers.new_zeros(*layers.shape[:-5], 1, 1, 1, 1, 1)
+        return SweepsState(layers, layers, none, none)
 
     def step(self, problem: Problem, state: SweepsState) -> SweepsState:
-        layers = state.ahead.clone()
-        if _are_served(problem, layers, state.layers) and serve(layers):
-            return self._step_compiled(problem, state, layers)
-        for k in range(problem.layer_count):
-            layers[..., k, :, :, :] = best_layer(problem, layers, k)
-        moved = layers - state.layers
-        uphill = ((state.ahead - layers) * moved).sum(dim=_ALL, keepdim=True) > 0
-        count, push = self._push(state, uphill)
-        ahead = moved.mul_(push).add_(layers).clamp_(*problem.bounds)
-        return SweepsState(layers, ahead, count)
-
-    def _step_compiled(self, problem: Problem, state: SweepsState, layers: Tensor) -> SweepsState:
-        """Do the same with compiled passes; the layers, where the sweep begins, are written on."""
-        slope, curvature = (layers.new_empty(layers[..., :1, :, :, :].shape) for _ in range(2))
-        for k in range(problem.layer_count):
-            problem.light_paths.add_up_(slope, layers, shares=_LEFT, second=curvature, only=k)
-            sweep_passes.move_layer_(layers, k, slope, curvature, problem.bounds)
-        uphill = sweep_passes.leads_uphill(state.ahead, layers, state.layers)
-        count, push = self._push(state, uphill)
-        ahead = sweep_passes.extrapolated(layers, state.layers, push, problem.bounds)
-        return SweepsState(layers, ahead, count)
-
-    def _push(self, state: SweepsState, uphill: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the sweeps since a restart, and the extrapolation behind so many."""
-        count = torch.where(uphill, 1, state.count + 1)
-        return count, (2 * (count - 1) / (count + 2)).clamp(max=self.momentum)
+        for _ in range(self.sweeps):
+            layers, uphill = _swept(problem, state)
+            count = torch.where(uphill, 1, state.count + 1)
+            push = (2 * (count - 1) / (count + 2)).clamp(max=self.momentum)
+            state = SweepsState(layers, state.layers, push, count)
+        return state
 
     def layers(
         self, problem: Problem, state: SweepsState
     ) -> Float[Tensor, "*batch subframe layer c ly lx"]:
         return state.layers
+
+
+def _swept(problem: Problem, state: SweepsState) -> tuple[Tensor, Tensor]:
+    """Return layers after a sweep, and whether it went back: (A - P) (P - last P) above 0.
+
+    A is where it began.
+    """
+    given, paths = (state.layers, state.last, state.push), problem.light_paths
+    if sweep_passes.serve_colours(paths, state.layers, problem.bounds):
+        return sweep_passes.swept_colours(paths, *given)
+    ahead = sweep_passes.ahead(*given, problem.bounds)
+    layers = ahead.clone()
+    if _are_served(problem, layers, state.layers) and serve(layers):
+        slope, curvature = (layers.new_empty(layers[..., :1, :, :, :].shape) for _ in range(2))
+        for k in range(problem.layer_count):
+            paths.add_up_(slope, layers, shares=_LEFT, second=curvature, only=k)
+            sweep_passes.move_layer_(layers, k, slope, curvature, problem.bounds)
+        return layers, sweep_passes.leads_uphill(ahead, layers, state.layers)
+    for k in range(problem.layer_count):
+        layers[..., k, :, :, :] = best_layer(problem, layers, k)
+    return layers, ((ahead - layers) * (layers - state.layers)).sum(dim=_ALL, keepdim=True) > 0
 
 
 def best_layer(

@@ -31,6 +31,7 @@ from layerfield import (
 )
 from layerfield.clock import Clock
 from layerfield.io import whole_file
+from layerfield.io.options import parse_grid
 from layerfield.motion import block_motion
 from layerfield.provenance import provenance
 from layerfield.scenes import animated, make_scene, panned, render, travelled
@@ -201,11 +202,6 @@ def median_seconds(work: Callable[[], object]) -> float:
     return statistics.median(seconds[1:])
 
 
-def _grid(text: str) -> tuple[int, int]:
-    rows, _, columns = text.partition("x")
-    return int(rows), int(columns)
-
-
 def told(name: str, made: dict) -> str:
     runs = made["runs"].items()
     return f"{name}: " + ", ".join(f"{run} {row['max']:.1%}" for run, row in runs)
@@ -250,16 +246,17 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="excess error of videos")
     parser.add_argument("out", type=Path)
     parser.add_argument("videos", nargs="*", metavar="VIDEO", help=", ".join(VIDEOS))
-    parser.add_argument("--views", type=_grid, default=ROW, metavar="ROWSxCOLUMNS")
+    parser.add_argument("--views", default="{}x{}".format(*ROW), metavar="ROWSxCOLUMNS")
     parser.add_argument("--car", type=Path, help="views in a row; for those of 1x5")
-    given = parser.parse_args()
+    given = parser.parse_intermixed_args()
     known = [*VIDEOS, *(["car"] if given.car else [])]
-    if given.car and given.views != ROW:
-        parser.error("the car has views in a row; leave out --car or --views")
     if unknown := [name for name in given.videos if name not in known]:
         parser.error(f"found video '{unknown[0]}', expected any of: {', '.join(known)}")
     try:
+        views = parse_grid("--views", given.views)
+        if given.car and views != ROW:
+            parser.error("the car has views in a row; leave out --car or --views")
         frames = car(given.car) if given.car else None
     except ValueError as error:
         parser.error(str(error))
-    main(given.out, given.videos, given.views, frames)
+    main(given.out, given.videos, views, frames)

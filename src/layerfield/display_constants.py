@@ -9,6 +9,7 @@ from jaxtyping import Float, Float64
 from torch import Tensor
 
 from layerfield.gram import Gram
+from layerfield.kernels.row_products import RowPaths, paths_of
 from layerfield.kernels.row_steps import RowMatrix, matrix_of
 from layerfield.projection import Projection
 from layerfield.row_system import row_entries
@@ -78,6 +79,11 @@ class DisplayConstants:
     def row_matrix(self) -> RowMatrix:
         """The same for compiled loops."""
         return matrix_of(self.row_entries)
+
+    @cached_property
+    def row_paths(self) -> RowPaths:
+        """The light paths of a row of pixels; where views stand in a row, of whole pixels."""
+        return paths_of(self.projection, self.weights, self.view_size[1])
 
 
 @lru_cache(maxsize=_KEPT)

@@ -25,7 +25,7 @@ from layerfield.io.safe_output import whole_file
 from layerfield.kernels import sweep_passes
 from layerfield.links import LINKS, Link, Multiplicative
 from layerfield.methods import RunOptions, SolverMethod
-from layerfield.row_system import row_reach, serves_rows
+from layerfield.row_system import row_reach, serves_products, serves_rows
 from layerfield.shipped import TRAINED
 from layerfield.solve import Problem, Solution, Solver
 from layerfield.solvers.admm_steps import Constants
@@ -33,6 +33,7 @@ from layerfield.solvers.fourier_start import FourierStart
 from layerfield.solvers.learned_admm import LearnedAdmm
 from layerfield.solvers.newton_admm import FourierNewton, NewtonAdmm
 from layerfield.solvers.relief import Relief
+from layerfield.solvers.row_gauss_newton import RowGaussNewton
 from layerfield.solvers.row_newton import RowNewton
 from layerfield.solvers.sweeps import Sweeps
 from layerfield.solvers.warm_admm import WarmAdmm
@@ -181,13 +182,14 @@ def steps_for(problem: Problem) -> Learned:
 
 
 def takes_rows(problem: Problem) -> bool:
-    """Whether rows of pixels are solved as the small systems that they are, see `RowNewton`.
+    """Whether rows of pixels are solved as the small systems that they are.
 
-    Where light adds up and views stand in a row, on a processor: a GPU would wait for one pixel of
-    a row after the other. What a step costs grows with the square of what the matrix reaches;
-    from some on, learned steps are as good sooner.
+    See `RowNewton` and `RowGaussNewton`: where views stand in a row, on a processor. A GPU would
+    wait for one pixel of a row after the other. What a step costs grows with the square of what the
+    matrix reaches; from some on, learned steps are as good sooner.
     """
-    fits = problem.link.is_sum and serves_rows(problem.projection)
+    served = serves_rows if problem.link.is_sum else serves_products
+    fits = problem.subframes == 1 and served(problem.projection)
     return fits and problem.device.type == "cpu" and row_reach(problem.projection) <= _FAR
 
 
@@ -203,7 +205,7 @@ def takes_sweeps(problem: Problem) -> bool:
 def solver_for(problem: Problem, count: int) -> Solver:
     """Return what makes so many iterations for a display, or goes on from given layers."""
     if takes_rows(problem):
-        return RowNewton()
+        return RowNewton() if problem.link.is_sum else RowGaussNewton()
     solver = steps_for(problem).solver(count)
     if not isinstance(solver, FourierNewton):
         return solver
@@ -230,11 +232,11 @@ def warm_rows() -> RowNewton:
 class FastMethod(SolverMethod):
     """Learned steps; see `LearnedAdmm`.
 
-    Where light adds up, an iteration is a step; where views stand in a row, too, one of
-    `RowNewton`, of which nothing is learned (see `takes_rows`). Where it is multiplied, steps on
-    logarithms are the start, and an iteration is a Newton step, learned ones from given layers too;
-    on a GPU two sweeps (see `takes_sweeps`), and of displays with subframes, which Newton steps do
-    not serve, a sweep.
+    Where light adds up, an iteration is a step. Where views stand in a row it is one of `RowNewton`
+    or, of light that is multiplied, `RowGaussNewton`, of which nothing is learned (see
+    `takes_rows`). Elsewhere, where light is multiplied, steps on logarithms are the start, and an
+    iteration is a Newton step, learned ones from given layers too; on a GPU two sweeps (see
+    `takes_sweeps`), and of displays with subframes, which Newton steps do not serve, a sweep.
     """
 
     @classmethod

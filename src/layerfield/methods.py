@@ -17,7 +17,7 @@ from layerfield.display import Display
 from layerfield.links import LINKS, Link
 from layerfield.networks import Network
 from layerfield.networks.frame import tiled_pixels
-from layerfield.row_system import serves_rows
+from layerfield.row_system import serves_products, serves_rows
 from layerfield.shipped import Entry, find_shipped, load_shipped
 from layerfield.solve import Problem, Solution, Solver, State, solve
 from layerfield.solvers.sweeps import Sweeps
@@ -154,6 +154,16 @@ class RowsMethod(SolverMethod):
             raise ValueError(
                 f"method '{self.name}' needs views in a single row and layers that are only "
                 f"shifted, '{display.name}' has {found}; take fourier-admm"
+            )
+        if not display.link.is_sum and not serves_products(display.projection):
+            raise ValueError(
+                f"where light is multiplied, method '{self.name}' needs layers that are shifted by "
+                f"whole pixels, those of '{display.name}' are not; take fast"
+            )
+        if display.subframes > 1:
+            raise ValueError(
+                f"method '{self.name}' solves for a single subframe, '{display.name}' has "
+                f"{display.subframes}; take fast"
             )
 
 

@@ -9,7 +9,7 @@ from torch import Tensor
 from layerfield.kernels.codes import codes_of
 from layerfield.kernels.compiled import serve
 from layerfield.kernels.gpu.serving import on_gpu
-from layerfield.transfer import NONE, Transfer
+from layerfield.transfer import NONE, Gamma, Identity, Srgb, Transfer
 
 _DTYPES = {8: torch.uint8, 16: torch.uint16}
 
@@ -29,11 +29,12 @@ def quantise(
     layers: Float[Tensor, "*batch c y x"], bits: int, transfer: Transfer = NONE
 ) -> UInt[Tensor, "*batch c y x"]:
     """Round layers, light from 0 to 1, to the nearest codes of a panel."""
-    if on_gpu(layers):
-        from layerfield.kernels.gpu import codes  # noqa: PLC0415  needs Triton
+    if on_gpu(layers) and isinstance(transfer, Identity | Srgb | Gamma):
+        from layerfield.kernels.gpu.codes import codes_of as codes_on_gpu  # noqa: PLC0415  needs Triton
 
-        if codes.serves(transfer):
-            return codes.codes_of(layers, largest_code(bits), _DTYPES[bits], transfer)
+        power = 1 / transfer.gamma if isinstance(transfer, Gamma) else 1.0
+        power = None if isinstance(transfer, Srgb) else power
+        return codes_on_gpu(layers, largest_code(bits), _DTYPES[bits], power)
     values = transfer.encode(layers)
     if serve(values):
         return codes_of(values, largest_code(bits), _DTYPES[bits])

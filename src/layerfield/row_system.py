@@ -21,6 +21,11 @@ def serves_rows(projection: Projection) -> bool:
     return type(projection) is Projection and projection.is_horizontal
 
 
+def serves_products(projection: Projection) -> bool:
+    """The same where light is multiplied: a path then looks at one pixel of every layer."""
+    return serves_rows(projection) and projection.is_whole
+
+
 def row_reach(projection: Projection) -> int:
     """Return how far entries of the matrix are from its diagonal."""
     return max(max(path)[0] - min(path)[0] for path in _paths(projection))

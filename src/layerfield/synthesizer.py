@@ -37,6 +37,7 @@ from layerfield.solvers.gradient import Gradient
 from layerfield.solvers.nearest_shifts import NearestShifts
 from layerfield.solvers.nmf import Nmf
 from layerfield.solvers.ntf import Ntf
+from layerfield.solvers.row_gauss_newton import RowGaussNewton
 from layerfield.solvers.row_newton import RowNewton
 from layerfield.solvers.sart import Sart
 from layerfield.solvers.sweeps import Sweeps
@@ -93,8 +94,8 @@ _SOLVERS = (
         "row-newton",
         "projected Newton steps, row by row: soon at the optimum where views stand in a row",
         5,
-        _ADDITIVE,
-        lambda _: RowNewton(),
+        ("additive", "multiplicative"),
+        lambda link: RowNewton() if link.is_sum else RowGaussNewton(),
     ),
     _any_distance("gradient", "accelerated projected gradients", 100, _ANY, Gradient()),
     SolverMethod(

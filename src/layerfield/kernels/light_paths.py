@@ -152,13 +152,13 @@ class LightPaths:
         batch, channels = math.prod(first.shape[:-5]), first.shape[-3]
         height, rows = self.views.stored.shape[-2], max(_ROWS, 2 * self.projection.margin[0] + 1)
         bands = math.ceil(height / rows)
-        seen, taps, views = _planes(layers.contiguous()), _taps(self.projection), self._arrays()
+        seen, taps, views = _planes(layers.contiguous()), _taps(self.projection), self.arrays
         squares = _planes(first)[:0] if second is None else _planes(second.view_as(first))
         sums = _Sums(_planes(first), squares, np.zeros((batch, channels, bands)))
         law = _Law(
             (0,) * number,
             np.float32(shares.shown),
-            np.float32(shares.light / self._unit),
+            np.float32(shares.light / self.unit),
             isinstance(self.link, Multiplicative),
             begin,
             end,
@@ -190,7 +190,7 @@ class LightPaths:
             first,
             layers,
             second,
-            (shares.shown, shares.light / self._unit),
+            (shares.shown, shares.light / self.unit),
             0 if error is None else every,
             is_product=isinstance(self.link, Multiplicative),
             only=only,
@@ -206,13 +206,15 @@ class LightPaths:
         if layers.shape != expected:
             raise ValueError(f"found layers of shape {tuple(layers.shape)}, expected {expected}")
 
-    def _arrays(self) -> _Views:
+    @property
+    def arrays(self) -> _Views:
+        """The views for compiled loops."""
         table = torch.empty(0) if self.views.table is None else self.views.table.contiguous()
         weights = np.asarray(self.weights, dtype=np.float32)
         return _Views(_planes(self.views.stored.contiguous()), table.numpy(), weights)
 
     @property
-    def _unit(self) -> int:
+    def unit(self) -> int:
         """What stands for 1 in the views as they are stored; codes of a law are looked up."""
         looked_up = self.views.table is not None
         return LARGEST[self.views.stored.dtype] if self.views.is_whole and not looked_up else 1

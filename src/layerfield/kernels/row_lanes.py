@@ -6,6 +6,7 @@ unknown, one of each row; x begins and ends with `reach` more lanes, of zeros. N
 here; see `compiled`.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
@@ -19,6 +20,7 @@ from layerfield.kernels.row_steps import CHUNK, TAPS
 _FLOAT, _WHOLE = ir.FloatType(), ir.IntType(64)
 _VECTOR = ir.VectorType(_FLOAT, LANES)
 _ZERO, _ONE = ir.Constant(_VECTOR, None), ir.Constant(_VECTOR, [1.0] * LANES)
+_LEAST = ir.Constant(_VECTOR, [1e-12] * LANES)  # curvature: below it there is none
 
 
 @intrinsic
@@ -117,36 +119,44 @@ def eliminate(
         unknown: i.
         reach: of H.
     """
-    one = reach.type(1)
-    row, here = builder.mul(unknown, pitch), builder.mul(place, pitch)
-    sums = [cgutils.alloca_once(builder, _VECTOR) for _ in range(CHUNK)]
-    move = cgutils.alloca_once_value(builder, _get(moves, builder, unknown))
-    span = reach.type(0), builder.add(reach, one), reach.type(CHUNK), reach.type
-    with cgutils.for_range_slice(builder, *span) as (first, _):
-        for number, total in enumerate(sums):
-            at = builder.add(row, builder.add(first, first.type(number)))
-            builder.store(everywhere(builder, matrix.read(at, _FLOAT)), total)
-        far = _least(builder, builder.sub(reach, first), unknown)
-        with cgutils.for_range(builder, far) as loop:  # the nearest last: it is known last
-            e = builder.sub(far, loop.index)
-            other = builder.sub(unknown, e)
-            at = builder.add(builder.mul(other, reach), builder.sub(e, one))
-            share = _get(factor, builder, at)
-            at = builder.mul(builder.sub(place, e), pitch)
-            at = builder.add(at, builder.add(e, first))
-            for number, total in enumerate(sums):
-                value = _get(left, builder, builder.add(at, at.type(number)))
-                _add(builder, total, share, value)
-        for number, total in enumerate(sums):
-            at = builder.add(here, builder.add(first, first.type(number)))
-            _put(left, builder, at, builder.load(total))
-    far = _least(builder, reach, unknown)
-    with cgutils.for_range(builder, far) as loop:
-        e = builder.sub(far, loop.index)
-        at = builder.add(builder.mul(builder.sub(place, e), pitch), e)
-        value = builder.fneg(_get(left, builder, at))
-        _add(builder, move, value, _get(moves, builder, builder.sub(unknown, e)))
-    _put(moves, builder, unknown, builder.load(move))
+    row = builder.mul(unknown, pitch)
+
+    def entry(n: Any) -> Any:
+        return everywhere(builder, matrix.read(builder.add(row, n), _FLOAT))
+
+    _eliminate(builder, entry, pitch, left, place, factor, moves, unknown, reach)
+
+
+@intrinsic
+@generated
+def eliminate_from(
+    builder: Any,
+    pitch: Any,
+    left: Memory,
+    place: Any,
+    factor: Memory,
+    moves: Memory,
+    unknown: Any,
+    reach: Any,
+) -> None:
+    """Do the same where every row has a matrix of its own: H_id is in S before.
+
+    Args:
+        builder: of what is compiled.
+        pitch: see `eliminate`.
+        left: S.
+        place: the same.
+        factor: T.
+        moves: p.
+        unknown: i.
+        reach: of H.
+    """
+    here = builder.mul(place, pitch)
+
+    def entry(n: Any) -> Any:
+        return _get(left, builder, builder.add(here, n))
+
+    _eliminate(builder, entry, pitch, left, place, factor, moves, unknown, reach)
 
 
 @intrinsic
@@ -161,7 +171,7 @@ def settle(  # noqa: PLR0913, PLR0917
     x: Memory,
     fall: Memory,
     prox: Memory,
-    share: Any,
+    share: Memory,
     bounds: Memory,
     unknown: Any,
     reach: Any,
@@ -183,13 +193,13 @@ def settle(  # noqa: PLR0913, PLR0917
         x: lanes.
         fall: g.
         prox: rho, a number for every row.
-        share: one number.
+        share: a number for every row.
         bounds: lower and upper.
         unknown: i.
         reach: of H.
     """
     here = _get(x, builder, builder.add(unknown, reach))
-    tried = _plus(builder, here, everywhere(builder, share), _get(fall, builder, unknown))
+    tried = _plus(builder, here, share.read(reach.type(0)), _get(fall, builder, unknown))
     low, high = _limits(builder, bounds)
     goes_low = builder.fcmp_ordered("<=", tried, low)
     stays = builder.or_(goes_low, builder.fcmp_ordered(">=", tried, high))
@@ -244,6 +254,191 @@ def substitute(
     place = builder.add(unknown, reach)
     moved = builder.fadd(_get(x, builder, place), found, flags=FREE)
     _put(x, builder, place, _clamped(builder, moved, bounds))
+
+
+@intrinsic
+@generated
+def relax_product(  # noqa: PLR0913, PLR0917
+    builder: Any,
+    lights: Memory,
+    weights: Memory,
+    others: Memory,
+    count: Any,
+    begin: Any,
+    end: Any,
+    x: Memory,
+    light: Memory,
+    bounds: Memory,
+    place: Any,
+) -> None:
+    """Have a factor of products take its best place between bounds while all others stay.
+
+        x_i <- clamp(sum w o L / sum w o^2)
+
+    over the paths through it, o what all others on a path let through. It stays where they are
+    dark.
+
+    Args:
+        builder: of what is compiled.
+        lights: of every path the number of its view pixel.
+        weights: w.
+        others: of every path the places of its other factors in x.
+        count: how many those are.
+        begin: number of its first path.
+        end: that behind its last.
+        x: lanes.
+        light: L.
+        bounds: lower and upper.
+        place: of the unknown in x.
+    """
+    seen, known = (cgutils.alloca_once_value(builder, _ZERO) for _ in range(2))
+    with cgutils.for_range(builder, end, begin) as loop:
+        path = loop.index
+        share = everywhere(builder, weights.read(path, _FLOAT))
+        other = _met(builder, others, count, path, x)
+        weighed = builder.fmul(share, other, flags=FREE)
+        _add(builder, seen, weighed, _get(light, builder, lights.read(path, _WHOLE)))
+        _add(builder, known, weighed, other)
+    here, bent = _get(x, builder, place), builder.load(known)
+    best = builder.fdiv(builder.load(seen), bent, flags=FREE)
+    lit = builder.fcmp_ordered(">", bent, _LEAST)
+    _put(x, builder, place, builder.select(lit, _clamped(builder, best, bounds), here))
+
+
+@intrinsic
+@generated
+def find_equation(  # noqa: PLR0913, PLR0917
+    builder: Any,
+    lights: Memory,
+    weights: Memory,
+    others: Memory,
+    count: Any,
+    begin: Any,
+    end: Any,
+    x: Memory,
+    light: Memory,
+    left: Memory,
+    pitch: Any,
+    row: Any,
+    fall: Memory,
+    moves: Memory,
+    share: Memory,
+    unknown: Any,
+    reach: Any,
+) -> None:
+    """Find the equation of a factor of products, as if they were linear near where they are.
+
+        g_i = sum w o_i (L - o_i x_i),   H_id = sum w o_i o_(i+d)
+
+    Args:
+        builder: of what is compiled.
+        lights: see `relax_product`.
+        weights: the same.
+        others: the same.
+        count: the same.
+        begin: the same.
+        end: the same.
+        x: lanes.
+        light: L.
+        left: where H_id is put, `pitch` lanes.
+        pitch: of it.
+        row: number of this one in it.
+        fall: g.
+        moves: g, too.
+        share: 1 / H_ii, a number for every row; 0 where no light comes through.
+        unknown: i.
+        reach: of H.
+    """
+    place, start = builder.add(unknown, reach), builder.mul(row, pitch)
+    with cgutils.for_range(builder, pitch) as loop:
+        _put(left, builder, builder.add(start, loop.index), _ZERO)
+    own = _get(x, builder, place)
+    slope, known = (cgutils.alloca_once_value(builder, _ZERO) for _ in range(2))
+    with cgutils.for_range(builder, end, begin) as loop:
+        path = loop.index
+        weight = everywhere(builder, weights.read(path, _FLOAT))
+        other = _met(builder, others, count, path, x)
+        weighed = builder.fmul(weight, other, flags=FREE)
+        off = builder.fsub(
+            _get(light, builder, lights.read(path, _WHOLE)),
+            builder.fmul(other, own, flags=FREE),
+            flags=FREE,
+        )
+        _add(builder, slope, weighed, off)
+        _add(builder, known, weighed, other)
+        through = builder.fmul(weighed, own, flags=FREE)
+        with cgutils.for_range(builder, count) as inner:
+            number = builder.add(builder.mul(path, count), inner.index)
+            ahead = builder.sub(others.read(number, _WHOLE), place)
+            with builder.if_then(builder.icmp_signed(">", ahead, ahead.type(0))):
+                rest = _met(builder, others, count, path, x, without=inner.index)
+                at = builder.add(start, ahead)
+                value = _plus(builder, _get(left, builder, at), through, rest)
+                _put(left, builder, at, value)
+    bent, found = builder.load(known), builder.load(slope)
+    _put(left, builder, start, bent)
+    _put(fall, builder, unknown, found)
+    _put(moves, builder, unknown, found)
+    lit = builder.fcmp_ordered(">", bent, _LEAST)
+    inverse = builder.fdiv(_ONE, bent, flags=FREE)
+    share.write(builder.select(lit, inverse, _ZERO), reach.type(0))
+
+
+def _met(
+    builder: Any, others: Memory, count: Any, path: Any, x: Memory, without: Any = None
+) -> Any:
+    """Return the product of the other factors of a path, or of all of them but one."""
+    product, first = cgutils.alloca_once_value(builder, _ONE), builder.mul(path, count)
+    with cgutils.for_range(builder, count) as loop:
+        at = others.read(builder.add(first, loop.index), _WHOLE)
+        value = _get(x, builder, at)
+        if without is not None:
+            value = builder.select(builder.icmp_signed("==", loop.index, without), _ONE, value)
+        builder.store(builder.fmul(builder.load(product), value, flags=FREE), product)
+    return builder.load(product)
+
+
+def _eliminate(
+    builder: Any,
+    entry: Callable[[Any], Any],
+    pitch: Any,
+    left: Memory,
+    place: Any,
+    factor: Memory,
+    moves: Memory,
+    unknown: Any,
+    reach: Any,
+) -> None:
+    """Take unknowns before one out of its equation, whose entries are given; see `eliminate`."""
+    one = reach.type(1)
+    here = builder.mul(place, pitch)
+    sums = [cgutils.alloca_once(builder, _VECTOR) for _ in range(CHUNK)]
+    move = cgutils.alloca_once_value(builder, _get(moves, builder, unknown))
+    span = reach.type(0), builder.add(reach, one), reach.type(CHUNK), reach.type
+    with cgutils.for_range_slice(builder, *span) as (first, _):
+        for number, total in enumerate(sums):
+            builder.store(entry(builder.add(first, first.type(number))), total)
+        far = _least(builder, builder.sub(reach, first), unknown)
+        with cgutils.for_range(builder, far) as loop:  # the nearest last: it is known last
+            e = builder.sub(far, loop.index)
+            other = builder.sub(unknown, e)
+            at = builder.add(builder.mul(other, reach), builder.sub(e, one))
+            share = _get(factor, builder, at)
+            at = builder.mul(builder.sub(place, e), pitch)
+            at = builder.add(at, builder.add(e, first))
+            for number, total in enumerate(sums):
+                value = _get(left, builder, builder.add(at, at.type(number)))
+                _add(builder, total, share, value)
+        for number, total in enumerate(sums):
+            at = builder.add(here, builder.add(first, first.type(number)))
+            _put(left, builder, at, builder.load(total))
+    far = _least(builder, reach, unknown)
+    with cgutils.for_range(builder, far) as loop:
+        e = builder.sub(far, loop.index)
+        at = builder.add(builder.mul(builder.sub(place, e), pitch), e)
+        value = builder.fneg(_get(left, builder, at))
+        _add(builder, move, value, _get(moves, builder, builder.sub(unknown, e)))
+    _put(moves, builder, unknown, builder.load(move))
 
 
 def _fall(

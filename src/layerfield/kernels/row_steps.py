@@ -16,7 +16,7 @@ from layerfield.kernels.radices import LANES
 
 CHUNK = 8  # entries of a row that are found together
 TAPS = 4  # sums that go on side by side: every addition waits for the one before
-_KEPT = 64  # unknowns whose equations are kept, behind those that the next one reaches
+KEPT = 64  # unknowns whose equations are kept, behind those that the next one reaches
 _ZERO, _ONE, _HALF = np.float32(0), np.float32(1), np.float32(0.5)
 CLOSE = 1e-6  # a share of its energy, by which that of a row may seem to grow
 
@@ -131,6 +131,7 @@ class _Lanes(NamedTuple):
     left: np.ndarray
     factor: np.ndarray
     prox: np.ndarray
+    share: np.ndarray
 
 
 @compiled
@@ -168,11 +169,11 @@ def _newton(lanes, matrix, rules):
     pitch = len(matrix.ahead) // number
     lanes.moves[:] = lanes.fall
     lanes.left[: reach * pitch * LANES] = _ZERO
-    for first in range(0, number, _KEPT):
+    for first in range(0, number, KEPT):
         if first > 0:  # the equations of those that the next ones know
             for n in range(reach * pitch * LANES):
-                lanes.left[n] = lanes.left[_KEPT * pitch * LANES + n]
-        for i in range(first, min(number, first + _KEPT)):
+                lanes.left[n] = lanes.left[KEPT * pitch * LANES + n]
+        for i in range(first, min(number, first + KEPT)):
             place = i - first + reach
             _eliminate(matrix.ahead, pitch, lanes.left, place, lanes.factor, lanes.moves, i, reach)
             _settle(
@@ -184,7 +185,7 @@ def _newton(lanes, matrix, rules):
                 lanes.x,
                 lanes.fall,
                 lanes.prox,
-                rules.share,
+                lanes.share,
                 rules.bounds,
                 i,
                 reach,
@@ -211,14 +212,14 @@ def _energy(lanes, reach, energy):
 
 
 @compiled
-def _judge(lanes, kept, factors, energy, found, rules):
+def judge(x, kept, factors, energy, found, growth):
     """Take rows back whose energy has grown, and say whether there are any."""
     some = False
     for lane in range(LANES):
         if found[lane] > energy[lane] + CLOSE * abs(energy[lane]):
             for n in range(lane, len(kept), LANES):
-                lanes.x[n] = kept[n]
-            factors[lane] *= rules.growth
+                x[n] = kept[n]
+            factors[lane] *= growth
             some = True
         else:
             energy[lane] = found[lane]
@@ -227,27 +228,27 @@ def _judge(lanes, kept, factors, energy, found, rules):
 
 
 @compiled
-def _take(layers, data, lanes, reach, first):
-    """Put rows side by side, eight from `first` on; behind the last of a picture it again."""
-    layer_count, height, width = layers.shape
+def take(planes, lanes, before, first):
+    """Put rows side by side, eight from `first` on; behind the last of a picture it again.
+
+    Pixels of all planes go column by column, behind so many other lanes.
+    """
+    count, height, width = planes.shape
     for lane in range(LANES):
         y = min(first + lane, height - 1)
-        for k in range(layer_count):
+        for k in range(count):
             for x in range(width):
-                at = (x * layer_count + k) * LANES + lane
-                lanes.x[reach * LANES + at] = layers[k, y, x]
-                lanes.data[at] = data[k, y, x]
+                lanes[(before + x * count + k) * LANES + lane] = planes[k, y, x]
 
 
 @compiled
-def _give(layers, lanes, reach, first):
-    """Put what `_take` took back."""
-    layer_count, height, width = layers.shape
+def give(planes, lanes, before, first):
+    """Put back what `take` took."""
+    count, height, width = planes.shape
     for lane in range(min(LANES, height - first)):
-        for k in range(layer_count):
+        for k in range(count):
             for x in range(width):
-                at = (reach + x * layer_count + k) * LANES + lane
-                layers[k, first + lane, x] = lanes.x[at]
+                planes[k, first + lane, x] = lanes[(before + x * count + k) * LANES + lane]
 
 
 @compiled
@@ -267,7 +268,7 @@ def _solve(lanes, kept, factors, energies, matrix, rules):
             _sweep(lanes, matrix, rules.bounds)
         _falls(lanes, matrix)
         _energy(lanes, reach, found)
-        if _judge(lanes, kept, factors, energy, found, rules):
+        if judge(lanes.x, kept, factors, energy, found, rules.growth):
             _falls(lanes, matrix)
 
 
@@ -283,9 +284,10 @@ def step_rows(layers, data, by_row, matrix, rules, begin, end):
         np.empty(number * LANES, np.float32),
         np.empty(number * LANES, np.float32),
         np.empty(number * LANES, np.float32),
-        np.zeros((_KEPT + reach) * pitch * LANES, np.float32),
+        np.zeros((KEPT + reach) * pitch * LANES, np.float32),
         np.empty(number * reach * LANES, np.float32),
         np.empty(LANES, np.float32),
+        np.full(LANES, rules.share, np.float32),
     )
     kept, factors = np.empty_like(lanes.x), np.empty(LANES, np.float32)
     energies = np.empty(LANES, np.float64), np.empty(LANES, np.float64)
@@ -294,8 +296,9 @@ def step_rows(layers, data, by_row, matrix, rules, begin, end):
         n, c = plane // colours, plane % colours
         for lane in range(LANES):
             factors[lane] = by_row[n, c, min(first + lane, height - 1)]
-        _take(layers[n, :, c], data[n, :, c], lanes, reach, first)
+        take(layers[n, :, c], lanes.x, reach, first)
+        take(data[n, :, c], lanes.data, 0, first)
         _solve(lanes, kept, factors, energies, matrix, rules)
-        _give(layers[n, :, c], lanes, reach, first)
+        give(layers[n, :, c], lanes.x, reach, first)
         count = min(LANES, height - first)
         by_row[n, c, first : first + count] = factors[:count]

@@ -102,8 +102,8 @@ def _plain_steps(
 ) -> tuple[Tensor, Tensor]:
     """Return layers and what the penalty is multiplied by after some steps, in PyTorch."""
     ahead = torch.from_numpy(entries).to(data)
-    rows = _Rows(ahead, _to_rows(data), tuple(rules.bounds.tolist()))
-    x, factors = _to_rows(state.layers), state.factors
+    rows = _Rows(ahead, to_rows(data), tuple(rules.bounds.tolist()))
+    x, factors = to_rows(state.layers), state.factors
     for _ in range(rules.first):
         x = rows.swept(x)
     for _ in range(rules.steps):
@@ -116,7 +116,7 @@ def _plain_steps(
         x = torch.where(is_worse[..., None], x, made)
         easier = (factors / 2).clamp(min=1)
         factors = torch.where(is_worse, factors * rules.growth.item(), easier)
-    return _from_rows(x, data.shape[-4]), factors
+    return from_rows(x, data.shape[-4]), factors
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,34 +164,56 @@ class _Rows:
     def stepped(
         self, x: Float[Tensor, "*row unknown"], prox: Float[Tensor, "*row 1"], share: float
     ) -> Float[Tensor, "*row unknown"]:
-        """Return x after a Newton step: elimination from the first to the last, and back."""
-        (low, high), fall = self.bounds, self.fall(x)
-        tried = x + share * fall
-        goes_low = tried <= low
-        stays = goes_low | (tried >= high)
-        bound = torch.where(goes_low, low, high) - x
-        number, reach = len(self.ahead), self.ahead.shape[1] - 1
-        left, factors, moves = list[Tensor](), list[Tensor](), [*fall.unbind(dim=-1)]
-        for i, entries in enumerate(self.ahead):
-            row = entries.expand(*x.shape[:-1], -1).clone()
-            for e in range(1, min(reach, i) + 1):
-                row[..., : reach + 1 - e] += factors[i - e][..., e : e + 1] * left[i - e][..., e:]
-                moves[i] = moves[i] - left[i - e][..., e] * moves[i - e]
-            own = row[..., :1] + prox
-            moves[i] = torch.where(stays[..., i], bound[..., i], moves[i] / own[..., 0])
-            left.append(row)
-            factors.append(torch.where(stays[..., i : i + 1], 0, -row / own))
-        for i in reversed(range(number)):
-            for d in range(1, min(reach, number - 1 - i) + 1):
-                moves[i] = moves[i] + factors[i][..., d] * moves[i + d]
-        return (x + torch.stack(moves, dim=-1)).clamp(low, high)
+        """Return x after a Newton step."""
+        fall = self.fall(x)
+        tried, ahead = x + share * fall, self.ahead.expand(*x.shape, -1)
+        return x_behind_step(x, tried, fall, (ahead, prox.expand(x.shape)), self.bounds)
 
 
-def _to_rows(layers: Float[Tensor, "*batch layer c y x"]) -> Float[Tensor, "*batch c y unknown"]:
+def x_behind_step(
+    x: Float[Tensor, "*row unknown"],
+    tried: Float[Tensor, "*row unknown"],
+    fall: Float[Tensor, "*row unknown"],
+    system: tuple[Float[Tensor, "*row unknown ahead"], Float[Tensor, "*row unknown"]],
+    bounds: tuple[float, float],
+) -> Float[Tensor, "*row unknown"]:
+    """Return clamp(x + p): elimination from the first unknown to the last, and back.
+
+    Args:
+        x: where the step begins.
+        tried: unknowns for which that lies beyond a bound go there.
+        fall: g.
+        system: H_id of every row, and rho of every unknown.
+        bounds: of unknowns.
+    """
+    (low, high), (matrix, prox) = bounds, system
+    goes_low = tried <= low
+    stays = goes_low | (tried >= high)
+    bound = torch.where(goes_low, low, high) - x
+    number, reach = x.shape[-1], matrix.shape[-1] - 1
+    left, factors, moves = list[Tensor](), list[Tensor](), [*fall.unbind(dim=-1)]
+    for i, entries in enumerate(matrix.unbind(dim=-2)):
+        row = entries.clone()
+        for e in range(1, min(reach, i) + 1):
+            row[..., : reach + 1 - e] += factors[i - e][..., e : e + 1] * left[i - e][..., e:]
+            moves[i] = moves[i] - left[i - e][..., e] * moves[i - e]
+        own = row[..., :1] + prox[..., i : i + 1]
+        moves[i] = torch.where(stays[..., i], bound[..., i], moves[i] / own[..., 0])
+        left.append(row)
+        factors.append(torch.where(stays[..., i : i + 1], 0, -row / own))
+    for i in reversed(range(number)):
+        for d in range(1, min(reach, number - 1 - i) + 1):
+            moves[i] = moves[i] + factors[i][..., d] * moves[i + d]
+    return (x + torch.stack(moves, dim=-1)).clamp(low, high)
+
+
+def to_rows(layers: Float[Tensor, "*batch layer c y x"]) -> Float[Tensor, "*batch c y unknown"]:
+    """Return the pixels of a row of all layers column by column."""
     return layers.movedim(-4, -1).flatten(-2)
 
 
-def _from_rows(
+def from_rows(
     rows: Float[Tensor, "*batch c y unknown"], count: int
 ) -> Float[Tensor, "*batch layer c y x"]:
+    """Return them as layers."""
     return rows.unflatten(-1, (-1, count)).movedim(-1, -4)

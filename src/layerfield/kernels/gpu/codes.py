@@ -6,26 +6,26 @@ from jaxtyping import Float, UInt
 from torch import Tensor
 
 from layerfield.kernels.gpu.kernel import blocks, kernel
-from layerfield.transfer import Gamma, Identity, Srgb, Transfer
 
 _BLOCK = 1024
 
 
-def serves(transfer: Transfer) -> bool:
-    """Whether the law is a formula."""
-    return isinstance(transfer, Identity | Srgb | Gamma)
-
-
 def codes_of(
-    light: Float[Tensor, "*batch"], largest: int, dtype: torch.dtype, transfer: Transfer
+    light: Float[Tensor, "*batch"], largest: int, dtype: torch.dtype, power: float | None
 ) -> UInt[Tensor, "*batch"]:
-    """Return what makes light from 0 to 1, as whole numbers up to the largest; see `serves`."""
+    """Return what makes light from 0 to 1, as whole numbers up to the largest.
+
+    Args:
+        light: what is to be made.
+        largest: what makes 1.
+        dtype: of the whole numbers.
+        power: of light, or None for the law of sRGB.
+    """
     result = torch.empty(light.shape, dtype=dtype, device=light.device)
     count = light.numel()
-    gamma = transfer.gamma if isinstance(transfer, Gamma) else 1.0
     _round[(blocks(count, _BLOCK),)](
-        result, light, float(largest), 1 / gamma, count, SRGB=isinstance(transfer, Srgb),
-        GAMMA=isinstance(transfer, Gamma), BLOCK=_BLOCK,
+        result, light, float(largest), power or 1.0, count, SRGB=power is None,
+        GAMMA=power is not None and power != 1, BLOCK=_BLOCK,
     )  # fmt: skip
     return result
 

@@ -56,16 +56,14 @@ def test_equations_are_those_of_what_is_shown(disparity):
     x = to_rows(layers)[0, 0, 0]
     assert torch.equal(x.view(-1, problem.layer_count).T, layers[0, :, 0, 0])
 
-    shares = torch.tensor(weights).double().repeat_interleave(width)
+    shares = torch.tensor(weights).double().repeat_interleave(width).sqrt()
 
     def seen(row: Tensor) -> Tensor:
         made = row.view(1, 1, 1, -1, problem.layer_count).permute(0, 4, 1, 2, 3)
         each = torch.stack([problem.view(made, i) for i in range(3)])
-        return each.flatten() * torch.tensor(weights).double().repeat_interleave(width).sqrt()
+        return each.flatten() * shares
 
-    target = (
-        problem.target.flatten() * torch.tensor(weights).double().repeat_interleave(width).sqrt()
-    )
+    target = problem.target.flatten() * shares
     error = 0.5 * (seen(x) - target).square().sum()
     assert rows.energy(x[None, None, None]).item() == pytest.approx(error.item())
     jacobian = torch.autograd.functional.jacobian(seen, x)

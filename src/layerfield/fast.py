@@ -40,7 +40,7 @@ from layerfield.solvers.warm_admm import WarmAdmm
 from layerfield.weights import WEIGHT_SUFFIX
 
 _KEY = "layerfield"  # of the metadata
-_FAR = 24  # unknowns that the matrix of a row reaches
+_FAR, _FAR_OF_PRODUCTS = 24, 28  # unknowns that the matrix of a row reaches
 _STEPS = 4  # unless told otherwise
 _SWEEPS = 2  # of an iteration, where they are quick: better than a Newton step, and sooner
 
@@ -188,9 +188,10 @@ def takes_rows(problem: Problem) -> bool:
     wait for one pixel of a row after the other. What a step costs grows with the square of what the
     matrix reaches; from some on, learned steps are as good sooner.
     """
-    served = serves_rows if problem.link.is_sum else serves_products
+    is_sum = problem.link.is_sum
+    served, far = (serves_rows, _FAR) if is_sum else (serves_products, _FAR_OF_PRODUCTS)
     fits = problem.subframes == 1 and served(problem.projection)
-    return fits and problem.device.type == "cpu" and row_reach(problem.projection) <= _FAR
+    return fits and problem.device.type == "cpu" and row_reach(problem.projection) <= far
 
 
 def takes_sweeps(problem: Problem) -> bool:

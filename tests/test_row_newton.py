@@ -25,9 +25,14 @@ from layerfield.row_system import row_entries, row_reach
 from layerfield.scenes import animated
 from layerfield.solve import Problem
 from layerfield.solvers.fourier_admm import FourierAdmm
+from layerfield.solvers.row_gauss_newton import RowGaussNewton
 from layerfield.solvers.row_newton import RowNewton, RowState
 
 SIZE = (21, 60)  # no multiple of the eight rows that go together
+KINDS = [
+    ("additive", "[1, 0.3, -1]", RowNewton()),
+    ("multiplicative", "[1, 0, -1]", RowGaussNewton()),
+]
 
 
 def display(
@@ -116,47 +121,51 @@ def test_a_row_whose_energy_grows_is_taken_back(field):
         assert state.factors.max() > 1
 
 
-def test_rows_and_batches_know_nothing_of_each_other(field):
-    shown = display()
+@pytest.mark.parametrize(("link", "disparity", "solver"), KINDS)
+def test_rows_and_batches_know_nothing_of_each_other(field, link, disparity, solver):
+    shown = display(disparity=disparity, link=link)
     both = torch.stack([field.views, field.views.flip(-1) * 0.7])
-    whole = solve(Problem.of(shown, both), RowNewton(), iterations=3).layers
+    whole = solve(Problem.of(shown, both), solver, iterations=3).layers
     for b in range(2):
-        single = solve(Problem.of(shown, both[b]), RowNewton(), iterations=3).layers
+        single = solve(Problem.of(shown, both[b]), solver, iterations=3).layers
         torch.testing.assert_close(whole[b], single, atol=1e-6, rtol=0)
     start = whole[0]
     part, rest = field.views[..., 3:14, :], start[..., 3:14, :]
-    made = solve(Problem.of(shown, part), RowNewton(), iterations=2, init=rest).layers
-    again = solve(Problem.of(shown, both[0]), RowNewton(), iterations=2, init=start).layers
+    made = solve(Problem.of(shown, part), solver, iterations=2, init=rest).layers
+    again = solve(Problem.of(shown, both[0]), solver, iterations=2, init=start).layers
     torch.testing.assert_close(made, again[..., 3:14, :], atol=1e-6, rtol=0)
 
 
-def test_the_same_on_any_number_of_threads(field):
+@pytest.mark.parametrize(("link", "disparity", "solver"), KINDS)
+def test_the_same_on_any_number_of_threads(field, link, disparity, solver):
+    shown = display(disparity=disparity, link=link)
     large = torch.nn.functional.interpolate(field.views, size=(70, 300))
-    problem, threads = Problem.of(display(), large), torch.get_num_threads()
+    problem, threads = Problem.of(shown, large), torch.get_num_threads()
     made = list[torch.Tensor]()
     try:
         for count in (1, 2, 3):
             torch.set_num_threads(count)
-            made.append(solve(problem, RowNewton(), iterations=2).layers)
+            made.append(solve(problem, solver, iterations=2).layers)
     finally:
         torch.set_num_threads(threads)
     assert torch.equal(made[0], made[1])
     assert torch.equal(made[0], made[2])
 
 
-def test_a_start_may_lie_in_memory_in_any_order(field):
-    problem = Problem.of(display(), field.views)
+@pytest.mark.parametrize(("link", "disparity", "solver"), KINDS)
+def test_a_start_may_lie_in_memory_in_any_order(field, link, disparity, solver):
+    shown = display(disparity=disparity, link=link)
+    problem = Problem.of(shown, field.views)
     start = torch.rand(problem.layer_shape, generator=torch.Generator().manual_seed(3))
     turned = start.mT.contiguous().mT
     assert not turned.is_contiguous()
-    made, other = (
-        solve(problem, RowNewton(), iterations=1, init=x).layers for x in (start, turned)
-    )
+    made, other = (solve(problem, solver, iterations=1, init=x).layers for x in (start, turned))
     assert torch.equal(made, other)
 
 
-def test_going_on_is_as_never_stopped(field):
-    shown = display()
+@pytest.mark.parametrize(("link", "disparity"), [kind[:2] for kind in KINDS])
+def test_going_on_is_as_never_stopped(field, link, disparity):
+    shown = display(disparity=disparity, link=link)
     whole = synthesize(field, shown, method="row-newton", iterations=5)
     first = synthesize(field, shown, method="row-newton", iterations=2)
     assert isinstance(first.state, RowState)

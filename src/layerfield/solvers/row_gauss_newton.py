@@ -9,11 +9,10 @@ from torch import Tensor
 
 from layerfield.kernels.compiled import serve
 from layerfield.kernels.row_products import ProductRules, RowPaths, product_steps
-from layerfield.kernels.row_steps import CLOSE
 from layerfield.links import Multiplicative
 from layerfield.row_system import serves_products
 from layerfield.solve import Problem
-from layerfield.solvers.row_newton import RowState, from_rows, to_rows, x_behind_step
+from layerfield.solvers.row_newton import RowState, plain_steps, x_behind_step
 
 
 @dataclass(frozen=True)
@@ -78,32 +77,13 @@ class RowGaussNewton:
             given = state.layers, problem.light_paths, state.factors
             made = product_steps(*given, paths, rules)
         else:
-            made = _plain_steps(problem, state, paths, rules)
+            light = problem.target.movedim(-4, -2).flatten(-2).unsqueeze(-4)
+            rows = _Rows.of(paths, light, rules.least.item(), problem.bounds)
+            made = plain_steps(rows, state, rules)
         return RowState(*made, state.count + count)
 
     def layers(self, problem: Problem, state: RowState) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         return state.layers
-
-
-def _plain_steps(
-    problem: Problem, state: RowState, paths: RowPaths, rules: ProductRules
-) -> tuple[Tensor, Tensor]:
-    """Return layers and what the penalty is multiplied by after some steps, in PyTorch."""
-    light = problem.target.movedim(-4, -2).flatten(-2).unsqueeze(-4)
-    rows = _Rows.of(paths, light, tuple(rules.bounds.tolist()))
-    x, factors = to_rows(state.layers), state.factors
-    for _ in range(rules.first):
-        x = rows.swept(x)
-    for _ in range(rules.steps):
-        made = rows.stepped(x, (factors * rules.prox.item())[..., None], rules.least.item())
-        for _ in range(rules.sweeps):
-            made = rows.swept(made)
-        before, after = rows.energy(x), rows.energy(made)
-        is_worse = after > before + CLOSE * before.abs()
-        x = torch.where(is_worse[..., None], x, made)
-        easier = (factors / 2).clamp(min=1)
-        factors = torch.where(is_worse, factors * rules.growth.item(), easier)
-    return from_rows(x, state.layers.shape[-4]), factors
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +100,7 @@ class _Rows:
         places: of every view pixel all unknowns.
         begins: of every unknown its first path; and the number of all.
         reach: how far unknowns on a path are apart.
+        least: what rho counts beside H_ii.
         bounds: of unknowns.
     """
 
@@ -132,11 +113,16 @@ class _Rows:
     places: Tensor
     begins: list[int]
     reach: int
+    least: float
     bounds: tuple[float, float]
 
     @classmethod
     def of(
-        cls, paths: RowPaths, light: Float[Tensor, "*row seen"], bounds: tuple[float, float]
+        cls,
+        paths: RowPaths,
+        light: Float[Tensor, "*row seen"],
+        least: float,
+        bounds: tuple[float, float],
     ) -> "_Rows":
         known = {
             name: torch.from_numpy(value)
@@ -155,6 +141,7 @@ class _Rows:
             known["places"].view(len(known["pixels"]), -1) - paths.reach,
             paths.begins.tolist(),
             paths.reach,
+            least,
             bounds,
         )
 
@@ -175,7 +162,7 @@ class _Rows:
         return made
 
     def stepped(
-        self, x: Float[Tensor, "*row unknown"], prox: Float[Tensor, "*row 1"], least: float
+        self, x: Float[Tensor, "*row unknown"], prox: Float[Tensor, "*row 1"]
     ) -> Float[Tensor, "*row unknown"]:
         """Return x after a Gauss-Newton step."""
         met = x[..., self.others]
@@ -193,4 +180,4 @@ class _Rows:
         matrix = matrix.unflatten(-1, (-1, self.reach + 1))
         bent = matrix[..., 0]
         tried = x + torch.where(bent > 1e-12, fall / bent, 0)
-        return x_behind_step(x, tried, fall, (matrix, prox * (bent + least)), self.bounds)
+        return x_behind_step(x, tried, fall, (matrix, prox * (bent + self.least)), self.bounds)

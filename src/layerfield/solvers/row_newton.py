@@ -1,13 +1,15 @@
 """Projected Newton steps where views stand in a row, and every row of pixels is a small system."""
 
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float64
+from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.kernels.compiled import serve
+from layerfield.kernels.row_products import ProductRules
 from layerfield.kernels.row_steps import CLOSE, RowRules, newton_steps
 from layerfield.row_system import serves_rows
 from layerfield.solve import Problem
@@ -90,25 +92,43 @@ class RowNewton:
             matrix = problem.constants.row_matrix
             made = newton_steps(state.layers, data, state.factors, matrix, rules)
         else:
-            made = _plain_steps(state, data, problem.constants.row_entries, rules)
+            ahead = torch.from_numpy(problem.constants.row_entries).to(data)
+            rows = _Rows(ahead, to_rows(data), 1 / weight, problem.bounds)
+            made = plain_steps(rows, state, rules)
         return RowState(*made, state.count + count)
 
     def layers(self, problem: Problem, state: RowState) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         return state.layers
 
 
-def _plain_steps(
-    state: RowState, data: Tensor, entries: Float64[np.ndarray, "unknown ahead"], rules: RowRules
-) -> tuple[Tensor, Tensor]:
+@runtime_checkable
+class Rows(Protocol):
+    """All rows side by side, what a step and a sweep make of them, and how far they are."""
+
+    def swept(self, x: Float[Tensor, "*row unknown"]) -> Float[Tensor, "*row unknown"]:
+        """Return what one unknown after the other makes of x."""
+        ...
+
+    def stepped(
+        self, x: Float[Tensor, "*row unknown"], prox: Float[Tensor, "*row 1"]
+    ) -> Float[Tensor, "*row unknown"]:
+        """Return x after a step, with a rho for every row."""
+        ...
+
+    def energy(self, x: Float[Tensor, "*row unknown"]) -> Float[Tensor, "*row"]:
+        """Return E of every row, in double precision."""
+        ...
+
+
+def plain_steps(
+    rows: Rows, state: RowState, rules: RowRules | ProductRules
+) -> tuple[Float[Tensor, "*batch 1 layer c ly lx"], Float[Tensor, "*batch 1 c ly"]]:
     """Return layers and what the penalty is multiplied by after some steps, in PyTorch."""
-    ahead = torch.from_numpy(entries).to(data)
-    rows = _Rows(ahead, to_rows(data), tuple(rules.bounds.tolist()))
     x, factors = to_rows(state.layers), state.factors
     for _ in range(rules.first):
         x = rows.swept(x)
     for _ in range(rules.steps):
-        prox = (factors * rules.prox.item())[..., None]
-        made = rows.stepped(x, prox, rules.share.item())
+        made = rows.stepped(x, (factors * rules.prox.item())[..., None])
         for _ in range(rules.sweeps):
             made = rows.swept(made)
         before, after = rows.energy(x), rows.energy(made)
@@ -116,7 +136,7 @@ def _plain_steps(
         x = torch.where(is_worse[..., None], x, made)
         easier = (factors / 2).clamp(min=1)
         factors = torch.where(is_worse, factors * rules.growth.item(), easier)
-    return from_rows(x, data.shape[-4]), factors
+    return _from_rows(x, state.layers.shape[-4]), factors
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,11 +146,13 @@ class _Rows:
     Args:
         ahead: H_id.
         data: b.
+        share: of the fall that is tried, 1 / W.
         bounds: of unknowns.
     """
 
     ahead: Float[Tensor, "unknown ahead"]
     data: Float[Tensor, "*row unknown"]
+    share: float
     bounds: tuple[float, float]
 
     def fall(self, x: Float[Tensor, "*row unknown"]) -> Float[Tensor, "*row unknown"]:
@@ -162,11 +184,11 @@ class _Rows:
         return made
 
     def stepped(
-        self, x: Float[Tensor, "*row unknown"], prox: Float[Tensor, "*row 1"], share: float
+        self, x: Float[Tensor, "*row unknown"], prox: Float[Tensor, "*row 1"]
     ) -> Float[Tensor, "*row unknown"]:
         """Return x after a Newton step."""
         fall = self.fall(x)
-        tried, ahead = x + share * fall, self.ahead.expand(*x.shape, -1)
+        tried, ahead = x + self.share * fall, self.ahead.expand(*x.shape, -1)
         return x_behind_step(x, tried, fall, (ahead, prox.expand(x.shape)), self.bounds)
 
 
@@ -212,8 +234,7 @@ def to_rows(layers: Float[Tensor, "*batch layer c y x"]) -> Float[Tensor, "*batc
     return layers.movedim(-4, -1).flatten(-2)
 
 
-def from_rows(
+def _from_rows(
     rows: Float[Tensor, "*batch c y unknown"], count: int
 ) -> Float[Tensor, "*batch layer c y x"]:
-    """Return them as layers."""
     return rows.unflatten(-1, (-1, count)).movedim(-1, -4)

@@ -309,9 +309,8 @@ def test_pixels_that_nobody_sees_stay_in_sweeps():
     layers = drawn(problem.layer_shape)
     unseen = (problem.coverage == 0).expand_as(layers)
     assert unseen.any()
-    close(
-        Sweeps().step(problem, Sweeps().init(problem, layers)).layers[unseen], layers[unseen], 1e-3
-    )
+    swept = Sweeps().step(problem, Sweeps().init(problem, layers)).layers
+    close(swept[unseen], layers[unseen], 1e-3)
 
 
 def test_what_colours_do_not_serve():
@@ -323,8 +322,13 @@ def test_what_colours_do_not_serve():
         assert not takes_sweeps(each)
     many = posed("multiplicative", "[3, 2, 1, 0, -1, -2]", channels=3)  # compiled for minutes
     assert not colour_paths.serves(many.light_paths, many.bounds)
+    deep = posed("multiplicative", "[3, 2, 1, 0, -1, -2, -3]", (3, 1), channels=3)
+    assert colour_paths.serves(deep.light_paths, deep.bounds)
+    assert not takes_sweeps(deep)  # squared products of seven pixels of ten bits are too large
     colours = posed("multiplicative", channels=3)
     assert takes_sweeps(colours)
+    with pytest.raises(ValueError, match="found layers of shape"):
+        Sweeps().step(colours, Sweeps().init(colours, drawn((2, *colours.layer_shape))))
     assert not takes_sweeps(replace(colours, subframes=2))
     assert not colour_paths.serves(colours.light_paths, (0.0, 0.5))
 

@@ -26,7 +26,7 @@ PAIRS = [
     (m.name, link)
     for m in SOLVERS.values()
     for link in m.links
-    if link in NONLINEAR and m.name != "tone"
+    if link in NONLINEAR and m.name not in {"tone", "row-newton"}
 ]
 
 

@@ -172,7 +172,7 @@ def _best_known(problem: Problem, tick: Callable[[str], None] | None) -> Referen
     for name, start in starts.items():
         if tick is not None:
             tick(f"best known: sweeps from {name}")
-        error, layers = _stagnate(problem, Sweeps(), start)
+        error, layers = _stagnate(problem, Sweeps(exact=True), start)
         if error < best.mean_square_error:
             best, best_layers = best.improved_by(error, f"sweeps from {name}"), layers
     if tick is not None:

@@ -142,8 +142,8 @@ class LightPaths:
         """
         number = len(self.projection.shifts[0])
         begin, end = (0, number) if only is None else (only, only + 1)
-        self._expect(layers, number)
-        self._expect(first, end - begin)
+        self.expect(layers, number)
+        self.expect(first, end - begin)
         if not first.is_contiguous() or (second is not None and not second.is_contiguous()):
             raise ValueError("found sums that lie apart in memory, expected contiguous ones")
         if on_gpu(layers.detach()):
@@ -198,7 +198,7 @@ class LightPaths:
         if error is not None:
             error += found.view(error.shape)
 
-    def _expect(self, layers: Tensor, number: int) -> None:
+    def expect(self, layers: Tensor, number: int) -> None:
         """Compiled loops would go past the end of smaller ones."""
         *batch, _, channels, _, _ = self.views.stored.shape
         size = self.projection.layer_size(self.views.stored)

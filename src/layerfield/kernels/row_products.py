@@ -119,6 +119,7 @@ def product_steps(
         paths: of a row.
         rules: how steps are made.
     """
+    light_paths.expect(layers, layers.shape[-4])
     lined_up = torch.contiguous_format
     made, by_row = (each.clone(memory_format=lined_up) for each in (layers, factors))
     planes = made.view(-1, *layers.shape[-4:]).numpy()

@@ -18,6 +18,7 @@ CHUNK = 8  # entries of a row that are found together
 TAPS = 4  # sums that go on side by side: every addition waits for the one before
 KEPT = 64  # unknowns whose equations are kept, behind those that the next one reaches
 _ZERO, _ONE, _HALF = np.float32(0), np.float32(1), np.float32(0.5)
+_MOST = np.float32(1e12)  # that a penalty is multiplied by
 CLOSE = 1e-6  # a share of its energy, by which that of a row may seem to grow
 
 
@@ -219,7 +220,7 @@ def judge(x, kept, factors, energy, found, growth):
         if found[lane] > energy[lane] + CLOSE * abs(energy[lane]):
             for n in range(lane, len(kept), LANES):
                 x[n] = kept[n]
-            factors[lane] *= growth
+            factors[lane] = min(factors[lane] * growth, _MOST)
             some = True
         else:
             energy[lane] = found[lane]

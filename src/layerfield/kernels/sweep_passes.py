@@ -18,6 +18,7 @@ Subframes = Float[Tensor, "*batch subframe layer c ly lx"]
 One = Float[Tensor, "*batch 1 1 c ly lx"]
 
 _ZERO = np.float32(0)
+_MOST_LAYERS = 6  # whose squared product of ten bits each, summed up, is a number
 _LEAST = np.float32(1e-12)  # curvature: one over less than that may be infinite
 
 
@@ -91,7 +92,7 @@ def serve_colours(paths: LightPaths, layers: Subframes, bounds: tuple[float, flo
         return False
     from layerfield.kernels.gpu.colour_paths import serves  # noqa: PLC0415  needs Triton
 
-    return serves(paths, bounds)
+    return len(paths.projection.shifts[0]) <= _MOST_LAYERS and serves(paths, bounds)
 
 
 def swept_colours(
@@ -107,6 +108,8 @@ def swept_colours(
     """
     from layerfield.kernels.gpu.colour_sweeps import swept  # noqa: PLC0415  needs Triton
 
+    for each in (layers, last):
+        paths.expect(each, layers.shape[-4])
     moved, uphill = swept(paths, layers, last, push)
     return moved, uphill.view(push.shape)
 

@@ -17,7 +17,7 @@ class FourierStart:
 
     That is on log max(L, 0.1) for a product, on 2/pi arcsin sqrt(L) for polarisation.
 
-    An iteration is one sweep; the start is part of `init`.
+    An iteration is a step of the sweeps; the start is part of `init`.
 
     Args:
         direct: the solver in the domain where the link is a sum.

@@ -131,13 +131,14 @@ class _Rows:
         }
         known = {name: value.to(light.device) for name, value in known.items()}
         number, count = len(known["begins"]) - 1, len(known["lights"])
+        layers = len(known["places"]) // len(known["pixels"])
         return cls(
             light[..., known["lights"]],
             light[..., known["pixels"]],
             known["weights"].to(light.dtype),
             known["shares"].to(light.dtype),
             torch.arange(number, device=light.device).repeat_interleave(known["begins"].diff()),
-            known["others"].view(count, -1) - paths.reach,
+            known["others"].view(count, layers - 1) - paths.reach,
             known["places"].view(len(known["pixels"]), -1) - paths.reach,
             paths.begins.tolist(),
             paths.reach,

@@ -135,7 +135,8 @@ def plain_steps(
         is_worse = after > before + CLOSE * before.abs()
         x = torch.where(is_worse[..., None], x, made)
         easier = (factors / 2).clamp(min=1)
-        factors = torch.where(is_worse, factors * rules.growth.item(), easier)
+        harder = (factors * rules.growth.item()).clamp(max=1e12)
+        factors = torch.where(is_worse, harder, easier)
     return _from_rows(x, state.layers.shape[-4]), factors
 
 

@@ -47,10 +47,13 @@ class Sweeps:
     Args:
         momentum: the largest extrapolation, as a share of the last change; 0 for plain sweeps.
         sweeps: of a step.
+        exact: whether pixels that shine through others keep single precision on a GPU, too; ten
+            bits are enough to show, but not to compare with.
     """
 
     momentum: float = 0.9
     sweeps: int = 1
+    exact: bool = False
 
     def init(self, problem: Problem, start: SweepsState | Tensor | None) -> SweepsState:
         if isinstance(start, SweepsState):
@@ -61,7 +64,7 @@ class Sweeps:
 
     def step(self, problem: Problem, state: SweepsState) -> SweepsState:
         for _ in range(self.sweeps):
-            layers, uphill = _swept(problem, state)
+            layers, uphill = _swept(problem, state, exact=self.exact)
             count = torch.where(uphill, 1, state.count + 1)
             push = (2 * (count - 1) / (count + 2)).clamp(max=self.momentum)
             state = SweepsState(layers, state.layers, push, count)
@@ -73,13 +76,13 @@ class Sweeps:
         return state.layers
 
 
-def _swept(problem: Problem, state: SweepsState) -> tuple[Tensor, Tensor]:
+def _swept(problem: Problem, state: SweepsState, *, exact: bool) -> tuple[Tensor, Tensor]:
     """Return layers after a sweep, and whether it went back: (A - P) (P - last P) above 0.
 
     A is where it began.
     """
     given, paths = (state.layers, state.last, state.push), problem.light_paths
-    if sweep_passes.serve_colours(paths, state.layers, problem.bounds):
+    if not exact and sweep_passes.serve_colours(paths, state.layers, problem.bounds):
         return sweep_passes.swept_colours(paths, *given)
     ahead = sweep_passes.ahead(*given, problem.bounds)
     layers = ahead.clone()

@@ -3,8 +3,9 @@
     P_k <- clamp(sum_i w_i A_ik^T o_ik L_i / sum_i w_i A_ik^T o_ik^2)
 
 of one layer after the other, each kernel a layer. Pixels lie with their colours side by side, ten
-bits each, in one whole number: every path is followed once for all three, at four bytes a pixel,
-and what is exact, pixels that a sweep makes, stays beside it in single precision.
+bits each, in one whole number: every path is followed once for all three, at four bytes a pixel.
+Pixels that a sweep makes stay beside it in single precision; what others let through has ten bits,
+and so has light that a law makes of codes.
 """
 
 # pyright: reportGeneralTypeIssues=false

@@ -12,8 +12,6 @@ from torch import Tensor
 
 from layerfield.kernels.compiled import compiled, serve
 from layerfield.kernels.gpu.serving import on_gpu
-from layerfield.kernels.light_paths import LightPaths
-from layerfield.links import Multiplicative
 
 Layers = Float[Tensor, "*batch 1 layer c ly lx"]
 Torus = Float[Tensor, "*batch 1 layer c ty tx"]
@@ -42,51 +40,11 @@ class Behind(NamedTuple):
     high: float
 
 
-class Asked(NamedTuple):
-    """What else `before_from_views` is told.
-
-    Args:
-        torus: its rows and columns.
-        every: how many views there are to one whose error is found.
-        is_new: whether D is found anew.
-    """
-
-    torus: tuple[int, int]
-    every: int
-    is_new: bool
-
-
 def serve_layers(*values: Tensor | None) -> bool:
     """Whether the passes can be called: as `serve`, and contiguous."""
     if on_gpu(*values):
         return True
     return serve(*values) and all(each is None or each.is_contiguous() for each in values)
-
-
-def before_from_views(
-    paths: LightPaths, terms: Before, shadow: Layers, last: Layers | None, asked: Asked
-) -> tuple[Torus, Layers, Layers, Float[Tensor, "*batch 1 1 1 1 1"]] | None:
-    """Return what `before` does and the error of the iterate, with slopes found on the way.
-
-    None where that is not served: it is on a GPU, of 8-bit views of three colours whose light is
-    multiplied.
-
-    Args:
-        paths: from the layers to the views.
-        terms: of the right-hand side.
-        shadow: s.
-        last: D of the step before.
-        asked: the rest.
-    """
-    product = isinstance(paths.link, Multiplicative)
-    if not (product and paths.serve(shadow) and on_gpu(shadow, last)):
-        return None
-    from layerfield.kernels.gpu.colour_paths import right_hand_side, serves  # noqa: PLC0415  needs Triton
-
-    if not serves(paths, (terms.low, terms.high)):
-        return None
-    right, dual, scale, error = right_hand_side(paths, terms, shadow, last, asked)
-    return right, dual, scale, error.view(*shadow.shape[:-5], 1, 1, 1, 1, 1)
 
 
 def before(

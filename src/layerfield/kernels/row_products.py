@@ -15,7 +15,7 @@ from torch import Tensor
 from layerfield.kernels.compiled import compiled, native
 from layerfield.kernels.light_paths import LightPaths
 from layerfield.kernels.radices import LANES
-from layerfield.kernels.row_steps import CHUNK, KEPT, give, judge, take
+from layerfield.kernels.row_steps import CHUNK, KEPT, carry, give, go_back, judge, settle, take
 from layerfield.projection import Projection
 from layerfield.row_system import row_reach
 
@@ -136,8 +136,6 @@ def product_steps(
 _relax = native("layerfield.kernels.row_lanes", "relax_product")
 _find_equation = native("layerfield.kernels.row_lanes", "find_equation")
 _eliminate = native("layerfield.kernels.row_lanes", "eliminate_from")
-_settle = native("layerfield.kernels.row_lanes", "settle")
-_substitute = native("layerfield.kernels.row_lanes", "substitute")
 
 
 class _Lanes(NamedTuple):
@@ -178,12 +176,8 @@ def _newton(lanes, paths, factors, rules):
     """Solve for all unknowns that do not stay at bounds."""
     number, reach = len(paths.begins) - 1, paths.reach
     count, pitch = len(paths.others) // len(paths.lights), reach + CHUNK
-    for n in range(reach * pitch * LANES):
-        lanes.left[n] = np.float32(0)
     for first in range(0, number, KEPT):
-        if first > 0:  # the equations of those that the next ones know
-            for n in range(reach * pitch * LANES):
-                lanes.left[n] = lanes.left[KEPT * pitch * LANES + n]
+        carry(lanes.left, first, pitch, reach)
         for i in range(first, min(number, first + KEPT)):
             place = i - first + reach
             _find_equation(
@@ -208,30 +202,8 @@ def _newton(lanes, paths, factors, rules):
                 bent = lanes.left[place * pitch * LANES + lane]
                 lanes.prox[lane] = rules.prox * factors[lane] * (bent + rules.least)
             _eliminate(pitch, lanes.left, place, lanes.factor, lanes.moves, i, reach)
-            _settle(
-                lanes.left,
-                pitch,
-                place,
-                lanes.factor,
-                lanes.moves,
-                lanes.x,
-                lanes.fall,
-                lanes.prox,
-                lanes.share,
-                rules.bounds,
-                i,
-                reach,
-            )
-    for behind in range(number):
-        _substitute(
-            lanes.factor,
-            lanes.moves,
-            lanes.x,
-            rules.bounds,
-            number - 1 - behind,
-            reach,
-            min(reach, behind),
-        )
+            settle(lanes, rules.bounds, pitch, place, i, reach)
+    go_back(lanes, rules.bounds, number, reach)
 
 
 @compiled

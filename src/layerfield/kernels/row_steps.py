@@ -164,43 +164,52 @@ def _sweep(lanes, matrix, bounds):
 
 
 @compiled
+def carry(left, first, pitch, reach):
+    """Keep the equations of those before that the next unknowns know; before the first are none."""
+    for n in range(reach * pitch * LANES):
+        left[n] = left[KEPT * pitch * LANES + n] if first > 0 else _ZERO
+
+
+@compiled
+def settle(lanes, bounds, pitch, place, i, reach):
+    """Take the step of an unknown, or leave it at a bound."""
+    _settle(
+        lanes.left,
+        pitch,
+        place,
+        lanes.factor,
+        lanes.moves,
+        lanes.x,
+        lanes.fall,
+        lanes.prox,
+        lanes.share,
+        bounds,
+        i,
+        reach,
+    )
+
+
+@compiled
+def go_back(lanes, bounds, number, reach):
+    """Take the unknowns behind each into its step, from the last to the first."""
+    for behind in range(number):
+        i, far = number - 1 - behind, min(reach, behind)
+        _substitute(lanes.factor, lanes.moves, lanes.x, bounds, i, reach, far)
+
+
+@compiled
 def _newton(lanes, matrix, rules):
     """Solve for all unknowns that do not stay at bounds."""
     number, reach = len(matrix.inverses), matrix.reach
     pitch = len(matrix.ahead) // number
     lanes.moves[:] = lanes.fall
-    lanes.left[: reach * pitch * LANES] = _ZERO
     for first in range(0, number, KEPT):
-        if first > 0:  # the equations of those that the next ones know
-            for n in range(reach * pitch * LANES):
-                lanes.left[n] = lanes.left[KEPT * pitch * LANES + n]
+        carry(lanes.left, first, pitch, reach)
         for i in range(first, min(number, first + KEPT)):
             place = i - first + reach
             _eliminate(matrix.ahead, pitch, lanes.left, place, lanes.factor, lanes.moves, i, reach)
-            _settle(
-                lanes.left,
-                pitch,
-                place,
-                lanes.factor,
-                lanes.moves,
-                lanes.x,
-                lanes.fall,
-                lanes.prox,
-                lanes.share,
-                rules.bounds,
-                i,
-                reach,
-            )
-    for behind in range(number):
-        _substitute(
-            lanes.factor,
-            lanes.moves,
-            lanes.x,
-            rules.bounds,
-            number - 1 - behind,
-            reach,
-            min(reach, behind),
-        )
+            settle(lanes, rules.bounds, pitch, place, i, reach)
+    go_back(lanes, rules.bounds, number, reach)
 
 
 @compiled

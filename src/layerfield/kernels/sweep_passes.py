@@ -18,7 +18,6 @@ Subframes = Float[Tensor, "*batch subframe layer c ly lx"]
 One = Float[Tensor, "*batch 1 1 c ly lx"]
 
 _ZERO = np.float32(0)
-_MOST_LAYERS = 6  # whose squared product of ten bits each, summed up, is a number
 _LEAST = np.float32(1e-12)  # curvature: one over less than that may be infinite
 
 
@@ -90,9 +89,9 @@ def serve_colours(paths: LightPaths, layers: Subframes, bounds: tuple[float, flo
     product = isinstance(paths.link, Multiplicative)
     if not (product and paths.serve(layers) and on_gpu(layers)):
         return False
-    from layerfield.kernels.gpu.colour_paths import serves  # noqa: PLC0415  needs Triton
+    from layerfield.kernels.gpu.colour_sweeps import serves  # noqa: PLC0415  needs Triton
 
-    return len(paths.projection.shifts[0]) <= _MOST_LAYERS and serves(paths, bounds)
+    return serves(paths, bounds)
 
 
 def swept_colours(

@@ -185,13 +185,9 @@ def _right_hand_side(
     gram, (low, high) = problem.gram, problem.bounds
     rho, weight = known.penalty * gram.spectral.weight, gram.spectral.weight
     terms = newton_passes.Before(rho, known.trust, low, high, weight, _LEAST)
-    is_new, last = renews_scale(state.count), (state.shadow, state.scale)
-    asked = newton_passes.Asked(gram.torus, _every(problem), is_new)
-    if made := newton_passes.before_from_views(problem.light_paths, terms, *last, asked):
-        return made
     iterate = state.shadow.clamp(low, high)
     error = iterate.new_zeros(*iterate.shape[:-5], 1, 1, 1, 1, 1)
-    curvature = iterate.new_empty(iterate.shape) if is_new else None
+    curvature = iterate.new_empty(iterate.shape) if renews_scale(state.count) else None
     found = slope(problem, iterate, curvature, error)
     del iterate
     if newton_passes.serve_layers(state.shadow, found, curvature, state.scale):

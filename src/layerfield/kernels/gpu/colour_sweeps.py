@@ -19,7 +19,6 @@ from jaxtyping import Bool, Float, Int32
 from torch import Tensor
 
 from layerfield.kept_views import LARGEST, KeptViews
-from layerfield.kernels.gpu.colour_paths import COLOURS
 from layerfield.kernels.gpu.kernel import blocks, kernel
 from layerfield.kernels.gpu.light_paths import taps_on, weights_on
 from layerfield.kernels.light_paths import LightPaths
@@ -28,7 +27,24 @@ _WARPS = 4
 _WIDE, _TALL = 64, 4  # pixels of a tile, two a thread
 _BLOCK = 1024  # pixels at once, where each is by itself
 _UNIT = 1023  # of ten bits
+COLOURS = 3
+_MOST_LAYERS = 6  # the squared products of more pixels of ten bits are no numbers, summed up
+_MOST_UNROLLED = 100  # paths of pairs of layers in a row of views: more are long in compiling
 _WORDS = WeakKeyDictionary[KeptViews, Tensor]()  # as long as the views are kept
+
+
+def serves(paths: LightPaths, bounds: tuple[float, float]) -> bool:
+    """Whether views have 8 bits, three colours and a grid of whole pixels, and layers go to 1.
+
+    And there are neither too few layers nor too many for a kernel that knows all paths.
+    """
+    stored, layers = paths.views.stored, len(paths.projection.taps[0])
+    if stored.dtype != torch.uint8 or stored.shape[-3] != COLOURS or bounds != (0.0, 1.0):
+        return False
+    taps = taps_on(paths.projection, stored.device)
+    if taps.rows is None or not 1 < layers <= _MOST_LAYERS:
+        return False
+    return layers**2 * taps.together <= _MOST_UNROLLED
 
 
 def swept(
@@ -40,7 +56,7 @@ def swept(
     """Return the layers after a sweep, and of every item of a batch whether it went uphill.
 
     Args:
-        paths: which; see `colour_paths.serves`.
+        paths: which; see `serves`.
         layers: P, contiguous.
         last: P of one sweep ago.
         push: a sweep begins at clamp(P + push (P - P of one sweep ago)).

@@ -60,14 +60,6 @@ def _before(
     if NEW:
         scale = tl.sqrt(tl.maximum(scale / weight, least))
         tl.store(scales + place, scale, beneath)
-    right, dual = right_of(shadow, slope, scale, ago, rho, trust, low, high, FIRST)
-    tl.store(slopes + place, dual, beneath)
-    tl.store(rights + row * columns + x, tl.where(beneath, right, 0.0), x < columns)
-
-
-@kernel
-def right_of(shadow, slope, scale, ago, rho, trust, low, high, FIRST: tl.constexpr):
-    """The right-hand side of a pixel, and u, of its D and that of the step before."""
     iterate = tl.minimum(tl.maximum(shadow, low), high)
     if FIRST:
         held = ((iterate <= low) & (slope > 0)) | ((iterate >= high) & (slope < 0))
@@ -75,7 +67,9 @@ def right_of(shadow, slope, scale, ago, rho, trust, low, high, FIRST: tl.constex
     else:
         turned = ago / scale
         dual = (shadow - iterate) * turned * turned  # of the same force, rho D^2 u
-    return slope / (rho * scale) + trust * scale * dual, dual
+    right = slope / (rho * scale) + trust * scale * dual
+    tl.store(slopes + place, dual, beneath)
+    tl.store(rights + row * columns + x, tl.where(beneath, right, 0.0), x < columns)
 
 
 @kernel

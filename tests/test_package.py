@@ -66,11 +66,10 @@ def test_lower_rooms_do_not_import_higher_ones():
     """Data flows one way; a room is imported only by rooms listed after it."""
     order = [
         "version", "nearest", "own_process", "memory", "toml_model", "geometry", "kept_views",
-        "light_field", "projection", "row_system", "links", "kernels", "clock", "lengths", "pieces",
-        "back_projection", "warped_projection", "panel_projection", "frequencies", "band", "gram",
-        "display_constants",
-        "composition", "transfer", "panel_spec", "display_spec", "display", "panels", "motion",
-        "solve", "between", "tone",
+        "light_field", "projection", "row_system", "grid_system", "links", "kernels", "clock",
+        "lengths", "pieces", "back_projection", "warped_projection", "panel_projection",
+        "frequencies", "band", "gram", "display_constants", "composition", "transfer",
+        "panel_spec", "display_spec", "display", "panels", "motion", "solve", "between", "tone",
         "solvers", "panel_images", "networks", "metrics", "provenance", "scenes", "io", "frames",
         "rendering", "rgbd", "eyes", "animation", "plane_sweep", "disparity", "weights", "shipped",
         "methods", "fast", "synthesizer", "stream", "reference", "evaluate", "remarks", "observers",

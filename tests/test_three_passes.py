@@ -6,14 +6,16 @@ import pytest
 import torch
 from displays import SHOWN
 
-from layerfield import Display, procedural_light_field, synthesize
+from layerfield import Display, procedural_light_field, solve
 from layerfield.display_spec import parse_spec
+from layerfield.fast import shipped_steps
 from layerfield.frequencies import Apart, Spectral
 from layerfield.gram import spectral_of
 from layerfield.kernels import steps, three_passes
 from layerfield.kernels.blends import Blend, Shares
 from layerfield.kernels.compiled import plain
 from layerfield.kernels.transforms import transforms_made
+from layerfield.synthesizer import pose
 
 BOUNDS = (0.0, 1.0)
 TERMS = (0.1, 0.003, -1.7, 0.4)
@@ -84,13 +86,13 @@ def test_low_frequencies_are_replaced_as_in_double_precision(kind, size, threads
 @pytest.mark.parametrize("size", [(20, 24), (61, 90)])
 def test_the_first_learned_step_is_made_in_three_passes(size, monkeypatch):
     """As by planes one after the other."""
-    display = Display.load("additive-3")
-    field = procedural_light_field(size=size)
+    problem = pose(procedural_light_field(size=size), Display.load("additive-3"))
+    step = shipped_steps("additive").solver(1)
     with monkeypatch.context() as patched:
         patched.setattr(three_passes, "LARGE", 1 << 20)
-        expected = synthesize(field, display, method="fast", iterations=1).layers
+        expected = solve(problem, step, iterations=1).layers
     monkeypatch.setattr(steps, "LARGE", 0)
-    found = synthesize(field, Display.load("additive-3"), method="fast", iterations=1).layers
+    found = solve(problem, step, iterations=1).layers
     torch.testing.assert_close(found, expected, rtol=0, atol=1e-4)
 
 

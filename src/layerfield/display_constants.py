@@ -9,8 +9,10 @@ from jaxtyping import Float, Float64
 from torch import Tensor
 
 from layerfield.gram import Gram
+from layerfield.grid_system import GridSystem, grid_system
 from layerfield.kernels.row_products import RowPaths, paths_of
 from layerfield.kernels.row_steps import RowMatrix, matrix_of
+from layerfield.kernels.words import Words, words_of
 from layerfield.projection import Projection
 from layerfield.row_system import row_entries
 
@@ -84,6 +86,16 @@ class DisplayConstants:
     def row_paths(self) -> RowPaths:
         """The light paths of a row of pixels; where views stand in a row, of whole pixels."""
         return paths_of(self.projection, self.weights, self.view_size[1])
+
+    @cached_property
+    def grid(self) -> GridSystem | None:
+        """A^T M W A of views in a grid, as what acts on rows times what acts on columns."""
+        return grid_system(self.projection, self.weights, self.view_size)
+
+    @cached_property
+    def words(self) -> Words | None:
+        """The same in 16-bit words, where that is as fine as panels are."""
+        return None if self.grid is None else words_of(self.grid, self.weights[0])
 
 
 @lru_cache(maxsize=_KEPT)

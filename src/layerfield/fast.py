@@ -31,6 +31,7 @@ from layerfield.solve import Problem, Solution, Solver
 from layerfield.solvers.admm_steps import Constants
 from layerfield.solvers.fourier_start import FourierStart
 from layerfield.solvers.learned_admm import LearnedAdmm
+from layerfield.solvers.learned_sweeps import LearnedSweeps, serves_words
 from layerfield.solvers.newton_admm import FourierNewton, NewtonAdmm
 from layerfield.solvers.relief import Relief
 from layerfield.solvers.row_gauss_newton import RowGaussNewton
@@ -43,6 +44,7 @@ _KEY = "layerfield"  # of the metadata
 _FAR, _FAR_OF_PRODUCTS = 24, 28  # unknowns that the matrix of a row reaches
 _STEPS = 4  # unless told otherwise
 _SWEEPS = 2  # of an iteration, where they are quick: better than a Newton step, and sooner
+_BEFORE_WORDS = 2  # learned steps at the most, where sweeps of words follow
 
 
 @dataclass(frozen=True)
@@ -208,6 +210,8 @@ def solver_for(problem: Problem, count: int) -> Solver:
     if takes_rows(problem):
         return RowNewton() if problem.link.is_sum else RowGaussNewton()
     solver = steps_for(problem).solver(count)
+    if isinstance(solver, LearnedAdmm) and serves_words(problem):
+        return LearnedSweeps(steps_for(problem).at_most(min(count, _BEFORE_WORDS)).direct)
     if not isinstance(solver, FourierNewton):
         return solver
     if takes_sweeps(problem):
@@ -233,7 +237,8 @@ def warm_rows() -> RowNewton:
 class FastMethod(SolverMethod):
     """Learned steps; see `LearnedAdmm`.
 
-    Where light adds up, an iteration is a step. Where views stand in a row it is one of `RowNewton`
+    Where light adds up, an iteration is a step, or, behind two, some sweeps (see `LearnedSweeps`).
+    Where views stand in a row it is one of `RowNewton`
     or, of light that is multiplied, `RowGaussNewton`, of which nothing is learned (see
     `takes_rows`). Elsewhere, where light is multiplied, steps on logarithms are the start, and an
     iteration is a Newton step, learned ones from given layers too; on a GPU two sweeps (see

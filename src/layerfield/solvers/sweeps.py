@@ -6,9 +6,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.kernels import sweep_passes
+from layerfield.grid_system import GridSystem
+from layerfield.kernels import grid_sweeps, sweep_passes
 from layerfield.kernels.compiled import serve
 from layerfield.kernels.light_paths import Shares
+from layerfield.links import Additive
 from layerfield.solve import Problem
 
 _ALL = (-5, -4, -3, -2, -1)  # directions of the layers of a light field
@@ -85,6 +87,10 @@ def _swept(problem: Problem, state: SweepsState, *, exact: bool) -> tuple[Tensor
     if not exact and sweep_passes.serve_colours(paths, state.layers, problem.bounds):
         return sweep_passes.swept_colours(paths, *given)
     ahead = sweep_passes.ahead(*given, problem.bounds)
+    if (grid := _grid(problem, ahead)) is not None and state.layers.is_contiguous():
+        seen = problem.back_projected
+        if serve(seen, ahead, state.layers):
+            return grid_sweeps.swept_(grid, seen, ahead, state.layers, problem.bounds)
     layers = ahead.clone()
     if _are_served(problem, layers, state.layers) and serve(layers):
         slope, curvature = (layers.new_empty(layers[..., :1, :, :, :].shape) for _ in range(2))
@@ -101,6 +107,8 @@ def best_layer(
     problem: Problem, layers: Float[Tensor, "*batch subframe layer c ly lx"], index: int
 ) -> Float[Tensor, "*batch subframe c ly lx"]:
     """Return one layer, in all subframes, that minimises the (majorised) error per pixel."""
+    if (grid := _grid(problem, layers)) is not None:
+        return _best_of_grid(problem, grid, layers, index)
     best = layers[..., index, :, :, :].clone()
     slope, curvature = _normal_equations(problem, layers, index)
     subframes = range(best.shape[-4])
@@ -115,6 +123,28 @@ def best_layer(
             for t in subframes:
                 slope[t].addcmul_(curvature[s][t], moved, value=-1)
     return best
+
+
+def _grid(problem: Problem, layers: Tensor) -> GridSystem | None:
+    """Return the normal equations, where sweeps go by them instead of by the views.
+
+    Light adds up, views stand in a grid and count alike; single precision, on a processor.
+    """
+    if not isinstance(problem.link, Additive) or problem.subframes > 1:
+        return None
+    fits = layers.dtype == torch.float32 and layers.device.type == "cpu"
+    return problem.constants.grid if fits else None
+
+
+def _best_of_grid(problem: Problem, grid: GridSystem, layers: Tensor, index: int) -> Tensor:
+    """Return `best_layer` by the normal equations."""
+    seen = problem.back_projected
+    if serve(layers, seen) and layers.is_contiguous() and seen.is_contiguous():
+        return grid_sweeps.best_layer(grid, seen, layers, index, problem.bounds)
+    own, gains = layers[..., index, :, :, :], grid.gains(index)
+    rest = seen[..., index, :, :, :] - grid.brought(layers, index)
+    base = torch.where(gains > 0, 0, own) if grid.alone[index] else own
+    return (base + gains * rest).clamp(*problem.bounds)
 
 
 def _are_served(problem: Problem, *layers: Tensor) -> bool:

@@ -1,0 +1,254 @@
+"""Sweeps over layers in 16-bit words, where light adds up and views stand in a grid.
+
+As `grid_sweeps`, in whole numbers: sums are exact, pixels finer than panels show, and the last
+sweep gives them as finely as its sums say. Pictures become words, and layers again, on the way.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt16
+from torch import Tensor
+
+from layerfield.kernels.compiled import compiled, native
+from layerfield.kernels.parts import parts_of, row_at, steps_of
+from layerfield.kernels.words import WORDS, Words
+
+Layers = Float[Tensor, "*batch 1 layer c ly lx"]
+
+_LOAD, _PUSH = -1, -2  # turns that are no layers
+_ONE = 2**15  # what shares are parts of
+_AT_ONCE = 4  # sweeps: of more, parts would be few
+
+
+@dataclass(frozen=True, eq=False)
+class LayerWords:
+    """Layers between two sweeps, in words.
+
+    Args:
+        now: P.
+        ago: P of one sweep ago.
+    """
+
+    now: UInt16[Tensor, "*batch 1 layer c ly words"]
+    ago: UInt16[Tensor, "*batch 1 layer c ly words"]
+
+
+def swept(
+    words: Words, seen: Layers, begun: Layers | LayerWords, pushes: Sequence[float]
+) -> tuple[Layers, LayerWords]:
+    """Return layers after sweeps, pixels from 0 to 1, and in words.
+
+    Every sweep begins at clamp(P + push (P - P of one sweep ago)).
+
+    Args:
+        words: the normal equations.
+        seen: b, of views from 0 to 1; contiguous, of single precision, on a processor.
+        begun: where sweeps begin: words, or layers whose rows are contiguous, and then clamped.
+        pushes: of sweeps, less than 1; the first of layers that are no words yet is 0.
+
+    Raises:
+        ValueError: layers of another shape than those of the equations.
+    """
+    number, height = words.row_counts.shape
+    *_, subframes, found, channels, ly, lx = seen.shape
+    expected = 1, number, channels, height, words.shares.shape[1]
+    layers = torch.empty_like(seen)
+    is_new = isinstance(begun, Tensor)
+    source = begun if isinstance(begun, Tensor) else layers
+    fits = seen.is_contiguous() and source.shape == seen.shape and source.stride(-1) == 1
+    if (subframes, found, channels, ly, lx) != expected or not fits:
+        raise ValueError(f"found layers of shape {tuple(source.shape)}, expected {expected}")
+    target = torch.empty((*seen.shape[:-1], words.width), dtype=torch.uint16)
+    now, ago = (
+        (torch.empty_like(target), torch.empty_like(target))
+        if isinstance(begun, Tensor)
+        else (begun.now.clone(), begun.ago.clone())
+    )
+    given = layers, source, seen, now, ago, target
+    arrays = _Arrays(*(each.flatten(end_dim=-5).numpy() for each in given))
+    planes, reach = len(arrays.made) * channels, int(words.reach[0])
+    for first in range(0, len(pushes), _AT_ONCE):
+        turns = [] if first > 0 else [(_LOAD, int(is_new), 0)]
+        for n, push in enumerate(pushes[first : first + _AT_ONCE], first):
+            turns += [(_PUSH, round(push * _ONE), 0)] if n > 0 or not is_new else []
+            turns += [(k, 0, int(n == len(pushes) - 1)) for k in range(number)]
+        parts, needs = parts_of(planes, height, reach, len(turns))
+        passes, numbers = np.array(turns), len(turns) * layers.numel()
+        _settle_parts.in_spans(
+            arrays, words, passes, parts, count=len(parts), numbers=numbers, needs=needs
+        )
+    return layers, LayerWords(now, ago)
+
+
+_ZERO, _BRIGHTEST = np.float32(0), np.float32(2**15 - 1)  # the light of all views together
+_ask_for = native("layerfield.kernels.ahead", "ask_for_bytes")
+_add_up = native("layerfield.kernels.word_lanes", "add_up")
+_add_masked = native("layerfield.kernels.word_lanes", "add_masked")
+_settle = native("layerfield.kernels.word_lanes", "settle")
+_push = native("layerfield.kernels.word_lanes", "push")
+_to_words = native("layerfield.kernels.word_lanes", "to_words")
+_to_light = native("layerfield.kernels.word_lanes", "to_light")
+
+
+class _Arrays(NamedTuple):
+    """`[n, layer, c, y, x]`: what is made, where it begins, b; in words P, P of before, b."""
+
+    made: np.ndarray
+    begun: np.ndarray
+    seen: np.ndarray
+    now: np.ndarray
+    ago: np.ndarray
+    target: np.ndarray
+
+
+class _Room(NamedTuple):
+    """What a thread has for a row; rows are given by their addresses.
+
+    To cut rows out of arrays would count who holds those.
+
+    Args:
+        sums: over rows of each layer, with zeros on both sides.
+        total: of those over columns, then what is left of b.
+        found: addresses of rows.
+        across: `[3, layer, band]`, addresses of sums: on the left, where all look, on the right.
+        masks: `[2, layer, band]`, addresses of masks, on the left and on the right.
+    """
+
+    sums: np.ndarray
+    total: np.ndarray
+    found: np.ndarray
+    across: np.ndarray
+    masks: np.ndarray
+
+
+@compiled
+def _settle_parts(arrays, words, turns, parts, begin, end):
+    """Parts from and to, turn by turn; see `parts_of`.
+
+    Turns make words of pictures, push words on, or find a layer, the last ones as a picture, too.
+    """
+    number, channels, height = arrays.seen.shape[1:4]
+    room, reach = _room(words), words.reach[0]
+    for part in range(begin, end):
+        item, channel = divmod(parts[part, 0], channels)
+        for step in range(*steps_of(parts, part, len(turns), reach)):
+            for turn in range(len(turns)):
+                y = row_at(parts, part, turn, step, reach)
+                if y < 0:
+                    continue
+                what, share, is_last = turns[turn]
+                row = (item * number * channels + channel) * height + y
+                if what == _LOAD:
+                    for j in range(number):
+                        _load(arrays, words, (item, j, channel, y), share > 0)
+                elif what == _PUSH:
+                    for j in range(number):
+                        place = 2 * (row + j * channels * height) * words.width
+                        rows = arrays.now.ctypes.data + place, arrays.ago.ctypes.data + place
+                        _push(rows, share, words.most, words.width)
+                else:
+                    for j in range(number):
+                        _add_rows(
+                            room, words, (what, j, y), arrays.now, row + j * channels * height
+                        )
+                    _add_columns(room, words, what, words.row_counts[what, y] > 0)
+                    place = row + what * channels * height
+                    _find(arrays, words, room, (what, y), place, is_last > 0)
+
+
+@compiled
+def _load(arrays, words, place, is_new):
+    """Make words of a row of b, and of layers that are no words yet."""
+    (item, j, channel, y), width = place, arrays.seen.shape[4]
+    row = ((item * arrays.seen.shape[1] + j) * arrays.seen.shape[2] + channel) * arrays.seen.shape[
+        3
+    ]
+    to = 2 * (row + y) * words.width
+    here = arrays.seen.ctypes.data + 4 * (row + y) * width
+    _ask_for(here + 4 * width, 4 * width)
+    share = np.float32(words.most / words.weight)
+    _to_words((arrays.target.ctypes.data + to,), here, share, _BRIGHTEST, width)
+    if is_new:
+        items, layers, channels, rows = arrays.begun.strides[:4]
+        here = arrays.begun.ctypes.data + item * items + j * layers + channel * channels + y * rows
+        _ask_for(here + rows, 4 * width)
+        both = arrays.now.ctypes.data + to, arrays.ago.ctypes.data + to
+        _to_words(both, here, np.float32(words.most), np.float32(words.most), width)
+
+
+@compiled
+def _add_rows(room, words, place, layers, row):
+    """Add up the rows of layer j that views show together with row y of layer k.
+
+    Row y of layer j is the one of this number among all.
+    """
+    (k, j, y), n = place, 0
+    for band in range(words.begins[0, k, j], words.begins[0, k, j + 1]):
+        if words.row_is_seen[k, band, y]:
+            there = row + words.offsets[0, k, band]
+            room.found[n] = layers.ctypes.data + 2 * there * words.width
+            n += 1
+    if n > 0:
+        side = (room.sums.shape[1] - words.width) // 2
+        to = room.sums.ctypes.data + 2 * (j * room.sums.shape[1] + side)
+        _add_up(to, room.found.ctypes.data, n, words.width)
+
+
+@compiled
+def _add_columns(room, words, k, is_seen):
+    """Add up over columns; near both ends of a row not all views look."""
+    n, total, long = words.begins[1, k, -1], room.total.ctypes.data, words.width
+    left, right = words.inside[k]
+    if n > 0 and is_seen:
+        across, masks = room.across.ctypes.data, room.masks.ctypes.data
+        row, table = 8 * k * room.across.shape[2], 8 * room.across[0].size
+        _add_masked(total, across + row, masks + row, n, left)
+        _add_up(total + 2 * left, across + table + row, n, right - left)
+        to = total + 2 * right
+        _add_masked(to, across + 2 * table + row, masks + table + row, n, long - right)
+    else:
+        room.total[:] = 0
+
+
+@compiled
+def _find(arrays, words, room, place, row, is_last):
+    """Find a row of a layer, as a picture, too, if nothing follows."""
+    (k, y), width, total = place, arrays.seen.shape[4], room.total.ctypes.data
+    count, here = words.row_counts[k, y], arrays.now.ctypes.data + 2 * row * words.width
+    gains = (count * words.gains.shape[1] + k) * words.width
+    rows = (
+        here,
+        arrays.target.ctypes.data + 2 * row * words.width,
+        total,
+        words.gains.ctypes.data + 2 * gains,
+    )
+    _settle(rows, words.most, words.width)
+    if is_last:
+        unit = np.float32(1 / words.most)
+        gain = unit / np.float32(count) if count > 0 else _ZERO
+        made = arrays.made.ctypes.data + 4 * row * width
+        _to_light((made, words.shares.ctypes.data + 4 * k * width, total, here), gain, unit, width)
+
+
+@compiled
+def _room(words):
+    """Return what a thread has for a row."""
+    number, bands = words.offsets.shape[1:]
+    side = -(-words.reach[1] // WORDS) * WORDS
+    sums = np.zeros((number, words.width + 2 * side), np.uint16)
+    across, masks = np.empty((3, number, bands), np.int64), np.empty((2, number, bands), np.int64)
+    for k in range(number):
+        left, right = words.inside[k]
+        for j in range(number):
+            for band in range(words.begins[1, k, j], words.begins[1, k, j + 1]):
+                first = j * sums.shape[1] + side + words.offsets[1, k, band]
+                for n, place in enumerate((0, left, right)):
+                    across[n, k, band] = sums.ctypes.data + 2 * (first + place)
+                mask = words.masks.ctypes.data + 2 * (k * bands + band) * words.width
+                masks[0, k, band], masks[1, k, band] = mask, mask + 2 * right
+    total, found = np.zeros(words.width, np.uint16), np.empty(bands, np.int64)
+    return _Room(sums, total, found, across, masks)

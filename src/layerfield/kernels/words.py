@@ -1,0 +1,107 @@
+"""The normal equations of a grid of views in 16-bit words, for layers of pixels that stand alone.
+
+Pixels are whole numbers from 0 to the largest whose sums over all views and layers are words. That
+is more than panels show where views are not very many: 1310 for 5x5 views and three layers.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from layerfield.grid_system import Bands, GridSystem
+
+WORDS = 32  # that go side by side; rows are as long as a multiple of them
+_LARGEST, _LARGEST_LIGHT = 2**16 - 1, 2**15 - 1  # of sums, and of light that is multiplied
+_FEWEST, _MOST = 255, 2**14 - 1  # of pixels: panels show so many; less than twice of it is a word
+_ONE = 2**15  # what gains are parts of
+
+
+class Words(NamedTuple):
+    """What compiled loops know of a grid; see `GridSystem`.
+
+    Args:
+        most: the pixel that stands for 1.
+        weight: of a view.
+        width: of a row of words.
+        begins: `[direction, layer, other + 1]`, from which band to which; rows come first.
+        offsets: `[direction, layer, band]`.
+        row_counts: `[layer, row]`, positions of viewers that see it.
+        row_is_seen: `[layer, band, row]`, whether the row of the other layer is seen with it.
+        masks: `[layer, band, column]`, all bits set where the other column is seen with it.
+        gains: `[row count, layer, column]`, parts of 2^15 of one over how many views see a pixel.
+        shares: `[layer, column]`, one over how many positions see it; 0 where none does.
+        inside: `[layer, 2]`, from which word to which all positions see columns.
+        reach: the farthest offsets, of rows and of columns.
+    """
+
+    most: int
+    weight: float
+    width: int
+    begins: np.ndarray
+    offsets: np.ndarray
+    row_counts: np.ndarray
+    row_is_seen: np.ndarray
+    masks: np.ndarray
+    gains: np.ndarray
+    shares: np.ndarray
+    inside: np.ndarray
+    reach: np.ndarray
+
+
+def words_of(system: GridSystem, weight: float) -> Words | None:
+    """Return a grid in words, or None where words would be less than what panels show.
+
+    Args:
+        system: the normal equations.
+        weight: of a view.
+    """
+    sides = system.rows, system.columns
+    scales = weight, 1.0
+    counts = [
+        np.divide(1, each.gains * scale, out=np.zeros_like(each.gains), where=each.gains > 0)
+        .round()
+        .astype(np.int64)
+        for each, scale in zip(sides, scales, strict=True)
+    ]
+    views, layers = int(counts[0].max() * counts[1].max()), len(system.alone)
+    most = min(_MOST, _LARGEST_LIGHT // views, _LARGEST // (views * max(layers - 1, 1)))
+    if not system.alone.all() or most < _FEWEST:
+        return None
+    pixels = counts[1].shape[1]
+    width = -(-pixels // WORDS) * WORDS
+    bands = max(each.offsets.shape[1] for each in sides)
+    offsets = np.zeros((2, layers, bands), np.int64)
+    for direction, each in enumerate(sides):
+        offsets[direction, :, : each.offsets.shape[1]] = each.offsets
+    masks = np.zeros((layers, bands, width), np.uint16)
+    masks[:, : sides[1].shares.shape[1], :pixels] = np.where(sides[1].shares > 0, _LARGEST, 0)
+    return Words(
+        most,
+        weight,
+        width,
+        np.stack([each.begins for each in sides]),
+        offsets,
+        counts[0],
+        sides[0].shares > 0,
+        masks,
+        _gains(counts[0], counts[1], width),
+        system.columns.gains,
+        _inside(system.columns, width),
+        np.array([each.reach for each in sides]),
+    )
+
+
+def _gains(rows: np.ndarray, columns: np.ndarray, width: int) -> np.ndarray:
+    """Return 2^15 over the views that see a pixel, for every number of positions along y."""
+    views = np.arange(rows.max() + 1)[:, None, None] * columns
+    found = np.divide(_ONE, views, out=np.zeros(views.shape), where=views > 0).round()
+    made = np.zeros((*views.shape[:2], width), np.uint16)
+    made[..., : columns.shape[1]] = found.clip(max=_LARGEST_LIGHT)
+    return made
+
+
+def _inside(columns: Bands, width: int) -> np.ndarray:
+    """Return from which word to which all positions see columns, in whole vectors."""
+    left, right = columns.inside.T
+    begin, end = -(-left // WORDS) * WORDS, right // WORDS * WORDS
+    return np.stack([begin, np.where(end > begin, end, begin)], axis=1).clip(max=width)

@@ -72,16 +72,16 @@ def test_iterations_one_by_one_are_those_all_at_once(field, threads):
     problem = pose(field, Display.load("additive-3"))
     found = {
         count: solve(problem, solver_for(problem, count), iterations=count).layers
-        for count in (0, 1, 2, 3, 5)
+        for count in (0, 1, 2, 3, 5, 11)
     }
     solver = solver_for(problem, 5)
     state = solver.init(problem, None)
-    for count in range(1, 6):
+    for count in range(1, 12):
         state = solver.step(problem, state)
         if count != 1:  # a single step has constants of its own
             known = found.get(count)
             assert known is None or torch.equal(solver.layers(problem, state), known)
-    errors = [problem.mean_square_error(found[count]) for count in (0, 1, 2, 3, 5)]
+    errors = [problem.mean_square_error(found[count]) for count in found]
     assert errors == sorted(errors, reverse=True)
 
 
@@ -111,11 +111,12 @@ def test_fast_comes_to_the_optimum(field):
         problem.mean_square_error(synthesize(field, shown, method="fast", iterations=n).layers)
         / best
         - 1
-        for n in (2, 4, 12)
+        for n in (2, 4, 12, 30)
     ]
     assert excess[0] < 0.05
     assert excess[1] < 0.02
     assert excess[2] < 0.003
+    assert excess[3] < 0  # nearer to it than three hundred iterations
 
 
 def test_what_fast_makes_without_compiled_loops_is_the_same_but_for_rounding(field):

@@ -69,7 +69,7 @@ def swept(
         else (begun.now.clone(), begun.ago.clone())
     )
     given = layers, source, seen, now, ago, target
-    arrays = _Arrays(*(each.flatten(end_dim=-5).numpy() for each in given))
+    arrays = _Arrays(*(each.detach().flatten(end_dim=-5).numpy() for each in given))
     planes, reach = len(arrays.made) * channels, int(words.reach[0])
     for first in range(0, len(pushes), _AT_ONCE):
         turns = [] if first > 0 else [(_LOAD, int(is_new), 0)]

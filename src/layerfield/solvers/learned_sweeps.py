@@ -12,19 +12,24 @@ from layerfield.kernels.word_sweeps import LayerWords, swept
 from layerfield.links import Additive
 from layerfield.solve import Problem
 from layerfield.solvers.learned_admm import LearnedAdmm, LearnedState, Unbegun
-from layerfield.solvers.sweeps import best_layer
+from layerfield.solvers.sweeps import Sweeps, SweepsState, best_layer
 
+_IN_WORDS = 32  # sweeps: of more, what rounding leaves is no less than what they take away
 _BRIGHTEST = 1 + 1e-5  # of a view; sums of floats are rounded
 
 
 @dataclass(frozen=True, eq=False)
 class SweptState:
-    """Layers after sweeps, how many those are, and what goes on: words, or P of one sweep ago."""
+    """Layers after sweeps, how many those are, and what goes on.
+
+    That is words, or P of one sweep ago where there are none, or the state of sweeps in floats.
+    """
 
     layers: Float[Tensor, "*batch 1 layer c ly lx"]
     count: int = 0
     words: LayerWords | None = None
     ago: Float[Tensor, "*batch 1 layer c ly lx"] | None = None
+    after: SweepsState | None = None
 
 
 @dataclass(frozen=True)
@@ -37,7 +42,8 @@ class LearnedSweeps:
     Steps in the Fourier domain are quick to find what is far apart, sweeps what is near, and at
     bounds; without the views and in words, four cost less than a step. The layers of any number
     of steps have been swept over; behind the last of them an iteration is four sweeps more, and
-    so it is from layers that are given. The push grows with the sweeps, and never leads back.
+    so it is from layers that are given. The push grows with the sweeps. Behind 32 of them others in
+    floats follow, which come to the optimum; see `Sweeps`.
 
     Args:
         direct: the steps.
@@ -55,7 +61,7 @@ class LearnedSweeps:
         self, problem: Problem, start: SweptState | LearnedState | Unbegun | Tensor | None
     ) -> SweptState | LearnedState | Unbegun:
         if isinstance(start, Tensor):
-            return SweptState(start)
+            return SweptState(start.detach().to(problem.back_projected).contiguous())
         return start if isinstance(start, SweptState) else self.direct.init(problem, start)
 
     def step(
@@ -69,7 +75,7 @@ class LearnedSweeps:
         if isinstance(state, SweptState):
             return self._swept(problem, state, self.sweeps * count)
         made = 0 if isinstance(state, Unbegun) else state.count
-        learned = min(count, len(self.direct.full) - made)
+        learned = max(0, min(count, len(self.direct.full) - made))
         known = self.direct.steps(problem, state, learned)
         if learned == count:
             return known
@@ -93,6 +99,15 @@ class LearnedSweeps:
 
     def _swept(self, problem: Problem, state: SweptState, count: int) -> SweptState:
         """Return the state after so many sweeps more."""
+        left = min(count, max(0, _IN_WORDS - state.count))
+        known = self._swept_in_words(problem, state, left) if left else state
+        if left == count:
+            return known
+        sweeps = Sweeps(momentum=self.momentum, sweeps=count - left)
+        after = sweeps.step(problem, sweeps.init(problem, known.after or known.layers))
+        return SweptState(after.layers, state.count + count, after=after)
+
+    def _swept_in_words(self, problem: Problem, state: SweptState, count: int) -> SweptState:
         numbers = range(state.count, state.count + count)
         pushes = [min(self.momentum, self.growth * n / (n + 2)) for n in numbers]
         words = problem.constants.words

@@ -119,6 +119,17 @@ def test_fast_comes_to_the_optimum(field):
     assert excess[3] < 0  # nearer to it than three hundred iterations
 
 
+def test_coarse_words_come_to_the_optimum_too():
+    """Of many layers and views the largest pixel is 524."""
+    shown = display("views = [5, 5]\ndisparity = [3, 2, 1, 0, -1, -2]")
+    problem = pose(procedural_light_field(size=(64, 80), disparity_range=(-3, 3), seed=7), shown)
+    best = problem.mean_square_error(solve(problem, FourierAdmm(), iterations=200).layers)
+    made = [solve(problem, solver_for(problem, n), iterations=n).layers for n in (3, 8)]
+    errors = [problem.mean_square_error(each) / best - 1 for each in made]
+    assert errors[0] < 0.1
+    assert errors[1] < 0.01
+
+
 def test_what_fast_makes_without_compiled_loops_is_the_same_but_for_rounding(field):
     shown = Display.load("additive-3")
     made = synthesize(field, shown, method="fast", iterations=3).layers

@@ -9,12 +9,13 @@ from torch import Tensor
 
 from layerfield.kernels.compiled import is_plain
 from layerfield.kernels.word_sweeps import LayerWords, swept
+from layerfield.kernels.words import Words
 from layerfield.links import Additive
 from layerfield.solve import Problem
 from layerfield.solvers.learned_admm import LearnedAdmm, LearnedState, Unbegun
 from layerfield.solvers.sweeps import Sweeps, SweepsState, best_layer
 
-_IN_WORDS = 32  # sweeps: of more, what rounding leaves is no less than what they take away
+_ROUNDING = 40  # numbers of a word for each sweep: of more, what rounding leaves is seen
 _BRIGHTEST = 1 + 1e-5  # of a view; sums of floats are rounded
 
 
@@ -42,8 +43,8 @@ class LearnedSweeps:
     Steps in the Fourier domain are quick to find what is far apart, sweeps what is near, and at
     bounds; without the views and in words, four cost less than a step. The layers of any number
     of steps have been swept over; behind the last of them an iteration is four sweeps more, and
-    so it is from layers that are given. The push grows with the sweeps. Behind 32 of them others in
-    floats follow, which come to the optimum; see `Sweeps`.
+    so it is from layers that are given. The push grows with the sweeps. Where rounding
+    would be seen, behind 32 of 5x5 views and three layers, others in floats follow (`Sweeps`).
 
     Args:
         direct: the steps.
@@ -99,19 +100,22 @@ class LearnedSweeps:
 
     def _swept(self, problem: Problem, state: SweptState, count: int) -> SweptState:
         """Return the state after so many sweeps more."""
-        left = min(count, max(0, _IN_WORDS - state.count))
-        known = self._swept_in_words(problem, state, left) if left else state
+        words = problem.constants.words
+        enough = 0 if words is None else words.most // _ROUNDING
+        left = min(count, max(0, enough - state.count))
+        known = state if words is None or not left else self._in_words(problem, words, state, left)
         if left == count:
             return known
         sweeps = Sweeps(momentum=self.momentum, sweeps=count - left)
         after = sweeps.step(problem, sweeps.init(problem, known.after or known.layers))
         return SweptState(after.layers, state.count + count, after=after)
 
-    def _swept_in_words(self, problem: Problem, state: SweptState, count: int) -> SweptState:
+    def _in_words(
+        self, problem: Problem, words: Words, state: SweptState, count: int
+    ) -> SweptState:
         numbers = range(state.count, state.count + count)
         pushes = [min(self.momentum, self.growth * n / (n + 2)) for n in numbers]
-        words = problem.constants.words
-        if is_plain() or words is None:
+        if is_plain():
             return _swept_plainly(problem, state, pushes)
         begun = state.words or state.layers
         layers, made = swept(words, problem.back_projected, begun, pushes)

@@ -68,8 +68,10 @@ def swept(
         if isinstance(begun, Tensor)
         else (begun.now.clone(), begun.ago.clone())
     )
-    given = layers, source, seen, now, ago, target
+    given = layers, seen, now, ago, target
     arrays = _Arrays(*(each.detach().flatten(end_dim=-5).numpy() for each in given))
+    planes_of = source.detach().flatten(end_dim=-5).numpy()  # not to be let go before the end
+    place = _Place(planes_of.ctypes.data, *planes_of.strides[:4])
     planes, reach = len(arrays.made) * channels, int(words.reach[0])
     for first in range(0, len(pushes), _AT_ONCE):
         turns = [] if first > 0 else [(_LOAD, int(is_new), 0)]
@@ -79,7 +81,7 @@ def swept(
         parts, needs = parts_of(planes, height, reach, len(turns))
         passes, numbers = np.array(turns), len(turns) * layers.numel()
         _settle_parts.in_spans(
-            arrays, words, passes, parts, count=len(parts), numbers=numbers, needs=needs
+            arrays, place, words, passes, parts, count=len(parts), numbers=numbers, needs=needs
         )
     return layers, LayerWords(now, ago)
 
@@ -95,14 +97,26 @@ _to_light = native("layerfield.kernels.word_lanes", "to_light")
 
 
 class _Arrays(NamedTuple):
-    """`[n, layer, c, y, x]`: what is made, where it begins, b; in words P, P of before, b."""
+    """`[n, layer, c, y, x]`: what is made, and b; in words P, P of one sweep ago, and b."""
 
     made: np.ndarray
-    begun: np.ndarray
     seen: np.ndarray
     now: np.ndarray
     ago: np.ndarray
     target: np.ndarray
+
+
+class _Place(NamedTuple):
+    """Where sweeps begin: an address, and bytes from one plane or row to the next.
+
+    As an array it would have loops of its own for each way in which it may lie in memory.
+    """
+
+    address: int
+    items: int
+    layers: int
+    channels: int
+    rows: int
 
 
 class _Room(NamedTuple):
@@ -126,7 +140,7 @@ class _Room(NamedTuple):
 
 
 @compiled
-def _settle_parts(arrays, words, turns, parts, begin, end):
+def _settle_parts(arrays, begun, words, turns, parts, begin, end):
     """Parts from and to, turn by turn; see `parts_of`.
 
     Turns make words of pictures, push words on, or find a layer, the last ones as a picture, too.
@@ -144,7 +158,7 @@ def _settle_parts(arrays, words, turns, parts, begin, end):
                 row = (item * number * channels + channel) * height + y
                 if what == _LOAD:
                     for j in range(number):
-                        _load(arrays, words, (item, j, channel, y), share > 0)
+                        _load(arrays, begun, words, (item, j, channel, y), share > 0)
                 elif what == _PUSH:
                     for j in range(number):
                         place = 2 * (row + j * channels * height) * words.width
@@ -161,7 +175,7 @@ def _settle_parts(arrays, words, turns, parts, begin, end):
 
 
 @compiled
-def _load(arrays, words, place, is_new):
+def _load(arrays, begun, words, place, is_new):
     """Make words of a row of b, and of layers that are no words yet."""
     (item, j, channel, y), width = place, arrays.seen.shape[4]
     row = ((item * arrays.seen.shape[1] + j) * arrays.seen.shape[2] + channel) * arrays.seen.shape[
@@ -173,9 +187,9 @@ def _load(arrays, words, place, is_new):
     share = np.float32(words.most / words.weight)
     _to_words((arrays.target.ctypes.data + to,), here, share, _BRIGHTEST, width)
     if is_new:
-        items, layers, channels, rows = arrays.begun.strides[:4]
-        here = arrays.begun.ctypes.data + item * items + j * layers + channel * channels + y * rows
-        _ask_for(here + rows, 4 * width)
+        here = begun.address + item * begun.items + j * begun.layers
+        here += channel * begun.channels + y * begun.rows
+        _ask_for(here + begun.rows, 4 * width)
         both = arrays.now.ctypes.data + to, arrays.ago.ctypes.data + to
         _to_words(both, here, np.float32(words.most), np.float32(words.most), width)
 

@@ -26,7 +26,8 @@ class Bands(NamedTuple):
         begins: `[layer, other + 1]`, from which band to which are those of another layer.
         offsets: `[layer, band]`, from a pixel of the layer to one of the other.
         shares: `[layer, band, pixel of the layer]`.
-        gains: `[layer, pixel]`, one over how many views see it; 0 where none does.
+        coverage: `[layer, pixel]`, of how many positions it is seen.
+        gains: `[layer, pixel]`, one over that and the weight; 0 where it is not seen.
         inside: `[layer, 2]`, from which pixel and to which all views see it.
         reach: the farthest offset.
     """
@@ -34,6 +35,7 @@ class Bands(NamedTuple):
     begins: np.ndarray
     offsets: np.ndarray
     shares: np.ndarray
+    coverage: np.ndarray
     gains: np.ndarray
     inside: np.ndarray
     reach: int
@@ -125,7 +127,7 @@ def _bands(
             begin = margin + here
             end = begin + length
             inside[k] = max(inside[k, 0], begin), min(inside[k, 1], end)
-            coverage[k, begin:end] += weight * share
+            coverage[k, begin:end] += share
             for j, there, other in _windows(shifts):
                 if j != k or not alone[k]:
                     band = found[k][j].setdefault(there - here, np.zeros(pixels))
@@ -138,9 +140,9 @@ def _bands(
         listed = [(offset, bands[offset]) for bands in layer for offset in sorted(bands)]
         for n, (offset, band) in enumerate(listed):
             offsets[k, n], shares[k, n] = offset, band
-    gains = np.divide(1, coverage, out=np.zeros_like(coverage), where=coverage > 0)
-    reach = int(abs(offsets).max())
-    return Bands(begins, offsets, shares, gains.astype(np.float32), inside, reach)
+    known = coverage.astype(np.float32)
+    gains = np.divide(1 / weight, known, out=np.zeros_like(known), where=known > 0)
+    return Bands(begins, offsets, shares, known, gains, inside, int(abs(offsets).max()))
 
 
 def _windows(shifts: Sequence[float]) -> list[tuple[int, int, float]]:

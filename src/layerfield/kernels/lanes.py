@@ -303,7 +303,7 @@ def _turn(builder: Any, turns: Memory, number: Any) -> tuple[_Lanes, _Lanes]:
 
 def everywhere(builder: Any, number: Any, lanes: int = LANES) -> Any:
     """Return a number in all lanes."""
-    kind = ir.VectorType(_FLOAT, lanes)
+    kind = ir.VectorType(number.type, lanes)
     one = builder.insert_element(ir.Constant(kind, ir.Undefined), number, _INT(0))
     return _shuffled(builder, one, one, [0] * lanes)
 

@@ -1,10 +1,10 @@
 """Sums of rows of 16-bit words, and pixels settled by them: what `word_sweeps` is made of.
 
 Twice as many words as floats go side by side, and half the memory is moved. Rows are as long as
-`LANES` go into, so nothing is left over at their ends. Numba is imported here; see `compiled`.
+`WORDS` go into, so nothing is left over at their ends. Numba is imported here; see `compiled`.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from llvmlite import ir
@@ -13,11 +13,12 @@ from numba.core import types as kinds
 from numba.extending import intrinsic
 
 from layerfield.kernels.lanes import FREE
+from layerfield.kernels.side_by_side import WHOLE, Lanes, side_by_side
 from layerfield.kernels.words import WORDS
 
 _WORD, _INT, _FLOAT = ir.IntType(16), ir.IntType(32), ir.FloatType()
-_WHOLE = ir.IntType(64)
-_WORDS, _INTS, _FLOATS = (ir.VectorType(kind, WORDS) for kind in (_WORD, _INT, _FLOAT))
+_VECTORS = 4
+_ONE_BY_ONE = (1, WORDS), (1, 1)  # floats are as many as there are pixels
 _POINT = 14  # binary places of a product that are dropped, and one that is rounded
 
 
@@ -53,21 +54,21 @@ def _adding(*given: Any, is_masked: bool) -> Any:
 
     def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
         made, *tables, number, count = values
-        tables = [builder.inttoptr(each, _WHOLE.as_pointer()) for each in tables]
-        for places in _side_by_side(builder, count):
-            sums = [cgutils.alloca_once(builder, _WORDS) for _ in places]
+        tables = [builder.inttoptr(each, WHOLE.as_pointer()) for each in tables]
+        for lanes, places in side_by_side(builder, count, (_VECTORS, WORDS), (1, WORDS)):
+            sums = [cgutils.alloca_once(builder, lanes.of(_WORD)) for _ in places]
             for each in sums:
-                builder.store(ir.Constant(_WORDS, None), each)
+                builder.store(lanes.constant(_WORD, 0), each)
             with cgutils.for_range(builder, number) as row:
                 rows = [builder.load(builder.gep(each, [row.index])) for each in tables]
                 for each, place in zip(sums, places, strict=True):
-                    words = _read(builder, rows[0], place, _WORDS)
+                    words = lanes.read(rows[0], place, _WORD)
                     if is_masked:
-                        words = builder.and_(words, _read(builder, rows[1], place, _WORDS))
+                        words = builder.and_(words, lanes.read(rows[1], place, _WORD))
                     builder.store(builder.add(builder.load(each), words), each)
             for each, place in zip(sums, places, strict=True):
-                _write(builder, builder.load(each), made, place)
-        return _WHOLE(0)
+                lanes.write(builder.load(each), made, place)
+        return WHOLE(0)
 
     return kinds.intp(*given), generate
 
@@ -87,19 +88,20 @@ def settle(_: Any, rows: Any, most: Any, count: Any) -> Any:
     def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
         rows, most, count = values
         made, seen, total, gains = cgutils.unpack_tuple(builder, rows)
-        limit = _all(builder, builder.trunc(most, _WORD), _WORDS)
-        for (place,) in _side_by_side(builder, count, 1):
-            light, shown = (_read(builder, each, place, _WORDS) for each in (seen, total))
+        limit = builder.trunc(most, _WORD)
+        for lanes, (place,) in side_by_side(builder, count, (1, WORDS)):
+            light, shown, gain, own = (
+                lanes.read(row, place, _WORD) for row in (seen, total, gains, made)
+            )
+            zero, largest = lanes.constant(_WORD, 0), lanes.all(limit)
             more = builder.icmp_unsigned(">", light, shown)
-            rest = builder.select(more, builder.sub(light, shown), _constant(_WORDS, 0))
-            _write(builder, rest, total, place)
-            gain = _read(builder, gains, place, _WORDS)
-            found = _rounded_product(builder, rest, gain)
-            found = builder.select(builder.icmp_unsigned("<", found, limit), found, limit)
-            is_seen = builder.icmp_unsigned("!=", gain, _constant(_WORDS, 0))
-            own = _read(builder, made, place, _WORDS)
-            _write(builder, builder.select(is_seen, found, own), made, place)
-        return _WHOLE(0)
+            rest = builder.select(more, builder.sub(light, shown), zero)
+            lanes.write(rest, total, place)
+            found = _rounded_product(builder, lanes, rest, gain)
+            found = builder.select(builder.icmp_unsigned("<", found, largest), found, largest)
+            is_seen = builder.icmp_unsigned("!=", gain, zero)
+            lanes.write(builder.select(is_seen, found, own), made, place)
+        return WHOLE(0)
 
     return kinds.intp(rows, most, count), generate
 
@@ -118,19 +120,17 @@ def push(_: Any, rows: Any, share: Any, most: Any, count: Any) -> Any:
     def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
         rows, share, most, count = values
         here, ago = cgutils.unpack_tuple(builder, rows)
-        limit, factor = (
-            _all(builder, builder.trunc(each, _WORD), _WORDS) for each in (most, share)
-        )
-        zero = _constant(_WORDS, 0)
-        for (place,) in _side_by_side(builder, count, 1):
-            now, before = (_read(builder, each, place, _WORDS) for each in (here, ago))
-            _write(builder, now, ago, place)
-            change = _rounded_product(builder, builder.sub(now, before), factor)
-            found = builder.add(now, change)
+        limit, factor = (builder.trunc(each, _WORD) for each in (most, share))
+        for lanes, (place,) in side_by_side(builder, count, (1, WORDS)):
+            now, before = (lanes.read(each, place, _WORD) for each in (here, ago))
+            zero, largest = lanes.constant(_WORD, 0), lanes.all(limit)
+            lanes.write(now, ago, place)
+            change = builder.sub(now, before)
+            found = builder.add(now, _rounded_product(builder, lanes, change, lanes.all(factor)))
             found = builder.select(builder.icmp_signed(">", found, zero), found, zero)
-            found = builder.select(builder.icmp_signed("<", found, limit), found, limit)
-            _write(builder, found, here, place)
-        return _WHOLE(0)
+            found = builder.select(builder.icmp_signed("<", found, largest), found, largest)
+            lanes.write(found, here, place)
+        return WHOLE(0)
 
     return kinds.intp(rows, share, most, count), generate
 
@@ -149,19 +149,16 @@ def to_words(_: Any, made: Any, source: Any, factor: Any, most: Any, count: Any)
 
     def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
         rows, source, factor, most, count = values
-        zero, half = _FLOAT(0), _FLOAT(0.5)
-        for lanes, place in _one_by_one(builder, count):
-            floats, words = (_kind(kind, lanes) for kind in (_FLOAT, _WORD))
-            low, high, middle, share = (
-                _all(builder, each, floats) for each in (zero, most, half, factor)
-            )
-            value = builder.fmul(_read(builder, source, place, floats), share, flags=FREE)
+        for lanes, (place,) in side_by_side(builder, count, *_ONE_BY_ONE):
+            low, half = lanes.constant(_FLOAT, 0.0), lanes.constant(_FLOAT, 0.5)
+            high, share = lanes.all(most), lanes.all(factor)
+            value = builder.fmul(lanes.read(source, place, _FLOAT), share, flags=FREE)
             value = builder.select(builder.fcmp_ordered("<", value, low), low, value)
             value = builder.select(builder.fcmp_ordered(">", value, high), high, value)
-            whole = builder.fptosi(builder.fadd(value, middle, flags=FREE), _kind(_INT, lanes))
+            whole = builder.fptosi(builder.fadd(value, half, flags=FREE), lanes.of(_INT))
             for row in cgutils.unpack_tuple(builder, rows):
-                _write(builder, builder.trunc(whole, words), row, place)
-        return _WHOLE(0)
+                lanes.write(builder.trunc(whole, lanes.of(_WORD)), row, place)
+        return WHOLE(0)
 
     return kinds.intp(made, source, factor, most, count), generate
 
@@ -181,84 +178,25 @@ def to_light(_: Any, rows: Any, gain: Any, unit: Any, count: Any) -> Any:
     def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
         rows, gain, unit, count = values
         made, gains, *words = cgutils.unpack_tuple(builder, rows)
-        for lanes, place in _one_by_one(builder, count):
-            floats = _kind(_FLOAT, lanes)
-            one, zero, share, dark = (
-                _all(builder, each, floats) for each in (_FLOAT(1), _FLOAT(0), gain, unit)
-            )
-            known = builder.fmul(_read(builder, gains, place, floats), share, flags=FREE)
-            rest, own = (
-                builder.sitofp(
-                    builder.zext(
-                        _read(builder, row, place, _kind(_WORD, lanes)), _kind(_INT, lanes)
-                    ),
-                    floats,
-                )
-                for row in words
-            )
+        for lanes, (place,) in side_by_side(builder, count, *_ONE_BY_ONE):
+            one, zero = lanes.constant(_FLOAT, 1.0), lanes.constant(_FLOAT, 0.0)
+            shares = lanes.read(gains, place, _FLOAT)
+            known = builder.fmul(shares, lanes.all(gain), flags=FREE)
+            whole = [builder.zext(lanes.read(row, place, _WORD), lanes.of(_INT)) for row in words]
+            rest, own = (builder.sitofp(each, lanes.of(_FLOAT)) for each in whole)
             value = builder.fmul(rest, known, flags=FREE)
             value = builder.select(builder.fcmp_ordered(">", value, one), one, value)
+            dark = builder.fmul(own, lanes.all(unit), flags=FREE)
             is_seen = builder.fcmp_ordered(">", known, zero)
-            own = builder.fmul(own, dark, flags=FREE)
-            _write(builder, builder.select(is_seen, value, own), made, place)
-        return _WHOLE(0)
+            lanes.write(builder.select(is_seen, value, dark), made, place)
+        return WHOLE(0)
 
     return kinds.intp(rows, gain, unit, count), generate
 
 
-def _rounded_product(builder: Any, one: Any, other: Any) -> Any:
-    """Return the product of words with a sign over 2^15; processors have an instruction for it."""
-    product = builder.mul(builder.sext(one, _INTS), builder.sext(other, _INTS))
-    halves = builder.add(builder.ashr(product, _constant(_INTS, _POINT)), _constant(_INTS, 1))
-    return builder.trunc(builder.ashr(halves, _constant(_INTS, 1)), _WORDS)
-
-
-def _side_by_side(builder: Any, count: Any, vectors: int = 4) -> Iterator[list[Any]]:
-    """Yield the places of vectors of words, inside loops over a row."""
-    begin = _WHOLE(0)
-    for many in sorted({vectors, 1}, reverse=True):
-        length = many * WORDS
-        end = builder.and_(count, _WHOLE(-length))
-        with cgutils.for_range_slice(builder, begin, end, _WHOLE(length), _WHOLE) as (at, _):
-            yield [builder.add(at, _WHOLE(WORDS * n)) for n in range(many)]
-        begin = end
-
-
-def _one_by_one(builder: Any, count: Any) -> Iterator[tuple[int, Any]]:
-    """Yield lanes and the place of the first, inside loops over a row of any length."""
-    begin = _WHOLE(0)
-    for lanes in (WORDS, 1):
-        end = builder.and_(count, _WHOLE(-lanes))
-        with cgutils.for_range_slice(builder, begin, end, _WHOLE(lanes), _WHOLE) as (at, _):
-            yield lanes, at
-        begin = end
-
-
-def _kind(kind: ir.Type, lanes: int) -> ir.Type:
-    return kind if lanes == 1 else ir.VectorType(kind, lanes)
-
-
-def _constant(kind: ir.VectorType, number: int) -> Any:
-    return ir.Constant(kind, [number] * WORDS)
-
-
-def _all(builder: Any, number: Any, kind: ir.Type) -> Any:
-    """Return a number in all lanes, if there are several."""
-    if not isinstance(kind, ir.VectorType):
-        return number
-    one = builder.insert_element(ir.Constant(kind, ir.Undefined), number, _INT(0))
-    return builder.shuffle_vector(one, one, ir.Constant(ir.VectorType(_INT, kind.count), None))
-
-
-def _read(builder: Any, row: Any, place: Any, kind: ir.Type) -> Any:
-    return builder.load(_at(builder, row, place, kind), align=2)
-
-
-def _write(builder: Any, value: Any, row: Any, place: Any) -> None:
-    builder.store(value, _at(builder, row, place, value.type), align=2)
-
-
-def _at(builder: Any, row: Any, place: Any, kind: ir.Type) -> Any:
-    one = kind.element if isinstance(kind, ir.VectorType) else kind
-    first = builder.inttoptr(row, one.as_pointer())
-    return builder.bitcast(builder.gep(first, [place]), kind.as_pointer())
+def _rounded_product(builder: Any, lanes: Lanes, one: Any, other: Any) -> Any:
+    """Return the product of words with a sign over 2^15, rounded."""
+    wide = (builder.sext(each, lanes.of(_INT)) for each in (one, other))
+    halves = builder.ashr(builder.mul(*wide), lanes.constant(_INT, _POINT))
+    rounded = builder.add(halves, lanes.constant(_INT, 1))
+    return builder.trunc(builder.ashr(rounded, lanes.constant(_INT, 1)), lanes.of(_WORD))

@@ -155,43 +155,42 @@ def _settle_parts(arrays, begun, words, turns, parts, begin, end):
                 if y < 0:
                     continue
                 what, share, is_last = turns[turn]
-                row = (item * number * channels + channel) * height + y
+                row, layer = (item * number * channels + channel) * height + y, channels * height
                 if what == _LOAD:
                     for j in range(number):
-                        _load(arrays, begun, words, (item, j, channel, y), share > 0)
+                        _load_light(arrays, words, row + j * layer)
+                        if share > 0:
+                            here = begun.address + item * begun.items + j * begun.layers
+                            here += channel * begun.channels + y * begun.rows
+                            _ask_for(here + begun.rows, 4 * arrays.seen.shape[4])
+                            _load_layer(arrays, words, row + j * layer, here)
                 elif what == _PUSH:
                     for j in range(number):
-                        place = 2 * (row + j * channels * height) * words.width
+                        place = 2 * (row + j * layer) * words.width
                         rows = arrays.now.ctypes.data + place, arrays.ago.ctypes.data + place
                         _push(rows, share, words.most, words.width)
                 else:
                     for j in range(number):
-                        _add_rows(
-                            room, words, (what, j, y), arrays.now, row + j * channels * height
-                        )
+                        _add_rows(room, words, (what, j, y), arrays.now, row + j * layer)
                     _add_columns(room, words, what, words.row_counts[what, y] > 0)
-                    place = row + what * channels * height
-                    _find(arrays, words, room, (what, y), place, is_last > 0)
+                    _find(arrays, words, room, (what, y), row + what * layer, is_last > 0)
 
 
 @compiled
-def _load(arrays, begun, words, place, is_new):
-    """Make words of a row of b, and of layers that are no words yet."""
-    (item, j, channel, y), width = place, arrays.seen.shape[4]
-    row = ((item * arrays.seen.shape[1] + j) * arrays.seen.shape[2] + channel) * arrays.seen.shape[
-        3
-    ]
-    to = 2 * (row + y) * words.width
-    here = arrays.seen.ctypes.data + 4 * (row + y) * width
+def _load_light(arrays, words, row):
+    """Make words of a row of b."""
+    width, to = arrays.seen.shape[4], arrays.target.ctypes.data + 2 * row * words.width
+    here, share = arrays.seen.ctypes.data + 4 * row * width, np.float32(words.most / words.weight)
     _ask_for(here + 4 * width, 4 * width)
-    share = np.float32(words.most / words.weight)
-    _to_words((arrays.target.ctypes.data + to,), here, share, _BRIGHTEST, width)
-    if is_new:
-        here = begun.address + item * begun.items + j * begun.layers
-        here += channel * begun.channels + y * begun.rows
-        _ask_for(here + begun.rows, 4 * width)
-        both = arrays.now.ctypes.data + to, arrays.ago.ctypes.data + to
-        _to_words(both, here, np.float32(words.most), np.float32(words.most), width)
+    _to_words((to,), here, share, _BRIGHTEST, width)
+
+
+@compiled
+def _load_layer(arrays, words, row, here):
+    """Make words of a row of a layer."""
+    place, most = 2 * row * words.width, np.float32(words.most)
+    both = arrays.now.ctypes.data + place, arrays.ago.ctypes.data + place
+    _to_words(both, here, most, most, arrays.seen.shape[4])
 
 
 @compiled

@@ -55,17 +55,13 @@ def words_of(system: GridSystem, weight: float) -> Words | None:
         system: the normal equations.
         weight: of a view.
     """
+    if not system.alone.all():
+        return None
     sides = system.rows, system.columns
-    scales = weight, 1.0
-    counts = [
-        np.divide(1, each.gains * scale, out=np.zeros_like(each.gains), where=each.gains > 0)
-        .round()
-        .astype(np.int64)
-        for each, scale in zip(sides, scales, strict=True)
-    ]
+    counts = [each.coverage.astype(np.int64) for each in sides]  # whole, as shifts are
     views, layers = int(counts[0].max() * counts[1].max()), len(system.alone)
     most = min(_MOST, _LARGEST_LIGHT // views, _LARGEST // (views * max(layers - 1, 1)))
-    if not system.alone.all() or most < _FEWEST:
+    if most < _FEWEST:
         return None
     pixels = counts[1].shape[1]
     width = -(-pixels // WORDS) * WORDS

@@ -12,6 +12,7 @@ import json
 from pathlib import Path
 
 import torch
+from outputs import output_file
 
 from layerfield import DisparitySpec, Display, LightField, excess, solve
 from layerfield.fast import steps_for
@@ -102,9 +103,7 @@ def main(out: Path, link: str) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="rows as systems of their own")
-    parser.add_argument("out", type=Path)
+    parser.add_argument("out", type=output_file)
     parser.add_argument("--link", choices=[*DISPLAYS], default="additive")
     given = parser.parse_args()
-    if not given.out.parent.is_dir():
-        parser.error(f"there is no folder {given.out.parent}; make it first")
     main(given.out, given.link)

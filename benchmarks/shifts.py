@@ -14,6 +14,7 @@ import json
 from pathlib import Path
 
 import torch
+from outputs import output_file
 
 from layerfield import Display, LightField, procedural_light_field, synthesize
 from layerfield.bench.frontier import unserved
@@ -70,7 +71,7 @@ def main(out: Path, methods: str) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
-    parser.add_argument("out", type=Path)
+    parser.add_argument("out", type=output_file)
     parser.add_argument("--methods", default=",".join(METHODS))
     given = parser.parse_args()
     try:

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from outputs import output_file
 
 from layerfield import Display, FieldOptions, load_light_field
 from layerfield.bench.road import EightBitViews
@@ -116,7 +117,7 @@ def main(out: Path) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
-    parser.add_argument("out", type=Path)
+    parser.add_argument("out", type=output_file)
     given = parser.parse_args()
     try:
         main(given.out)

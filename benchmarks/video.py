@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from outputs import output_file
 from torch import Tensor
 
 from layerfield import (
@@ -244,7 +245,7 @@ def main(
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="excess error of videos")
-    parser.add_argument("out", type=Path)
+    parser.add_argument("out", type=output_file)
     parser.add_argument("videos", nargs="*", metavar="VIDEO", help=", ".join(VIDEOS))
     parser.add_argument("--views", default="{}x{}".format(*ROW), metavar="ROWSxCOLUMNS")
     parser.add_argument("--car", type=Path, help="views in a row; for those of 1x5")

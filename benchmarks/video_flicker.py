@@ -23,6 +23,7 @@ from itertools import islice, pairwise
 from pathlib import Path
 
 import torch
+from outputs import output_file
 from torch import Tensor
 
 from layerfield import (
@@ -166,5 +167,5 @@ def main(out: Path) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="flicker of layers")
-    parser.add_argument("out", type=Path)
+    parser.add_argument("out", type=output_file)
     main(parser.parse_args().out)

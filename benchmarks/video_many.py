@@ -14,6 +14,7 @@ import statistics
 from pathlib import Path
 
 import torch
+from outputs import output_file
 from video import ROW, SIZE, Judged, display, fields
 
 from layerfield.io import whole_file
@@ -73,5 +74,5 @@ def told(row: dict) -> str:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="excess error of many videos")
-    parser.add_argument("out", type=Path)
+    parser.add_argument("out", type=output_file)
     main(parser.parse_args().out)

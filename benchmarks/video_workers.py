@@ -19,6 +19,7 @@ from pathlib import Path
 import av
 import ray
 import torch
+from outputs import output_file
 
 from layerfield import Display, FieldOptions
 from layerfield.frames.opening import open_frames
@@ -118,5 +119,5 @@ def main(out: Path) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="speed-up of a second worker")
-    parser.add_argument("out", type=Path)
+    parser.add_argument("out", type=output_file)
     main(parser.parse_args().out)

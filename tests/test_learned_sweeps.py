@@ -119,6 +119,22 @@ def test_fast_comes_to_the_optimum(field):
     assert excess[3] < 0  # nearer to it than three hundred iterations
 
 
+def test_rounding_does_not_add_up(field, monkeypatch):
+    """What views hardly see neither grows nor fades, and the last 1 of a change comes to rest."""
+    monkeypatch.setattr("layerfield.solvers.learned_sweeps._ROUNDING", 1)
+    problem = pose(field, Display.load("additive-3"))
+    best = solve(problem, Sweeps(), iterations=150).layers
+    words = problem.constants.words
+    assert words is not None
+    solver = solver_for(problem, 2)
+    state = solver.init(problem, best)
+    for _ in range(75):
+        state = solver.step(problem, state)
+    layers = solver.layers(problem, state)
+    assert problem.mean_square_error(layers) < 1.001 * problem.mean_square_error(best)
+    assert (layers - best).abs().mean() < 4 / words.most
+
+
 def test_coarse_words_come_to_the_optimum_too():
     """Of many layers and views the largest pixel is 524."""
     shown = display("views = [5, 5]\ndisparity = [3, 2, 1, 0, -1, -2]")

@@ -192,6 +192,26 @@ def test_a_still_video_comes_near_the_optimum(method, excess):
     assert found[-1] < min(found[0], found[5])
 
 
+def test_a_still_grid_comes_to_rest():
+    display, field = Display.load("additive-3"), procedural_light_field(size=SIZE, seed=2)
+    made = [solution.layers for solution in synthesize_frames([field] * 30, display)]
+    problem = pose(field, display)
+    found = problem.mean_square_error(made[-1])
+    assert found < 1.005 * reference(problem).mean_square_error
+    assert found < problem.mean_square_error(made[0])
+    assert (made[-1] - made[-2]).abs().mean() < 0.1 / 255
+
+
+def test_a_grid_that_moves_is_nearer_with_sweeps_than_a_cold_one():
+    display = Display.load("additive-3")
+    whole = procedural_light_field(size=(SIZE[0], SIZE[1] + 10), seed=6)
+    views = whole.views
+    fields = [replace(whole, stored=views[..., 2 * t : 2 * t + SIZE[1]]) for t in range(5)]
+    warm = errors(fields, display, iterations=1)[-1]
+    cold = synthesize(fields[-1], display, method="fast", iterations=3).layers
+    assert warm < 0.995 * pose(fields[-1], display).mean_square_error(cold)
+
+
 def test_a_cut_is_found_and_starts_anew():
     display = row_of_five("additive")
     fields = [*pan((1, 0), 3), *pan((1, 0), 2, seed=8)]

@@ -219,18 +219,25 @@ def solver_for(problem: Problem, count: int) -> Solver:
     return solver.start if problem.subframes > 1 else solver
 
 
-def warm_steps(count: int) -> WarmAdmm:
-    """Return the steps of a frame that starts from the one before, where light adds up."""
-    return WarmAdmm(shipped_steps("additive-warm").at_most(count).full)
+def warm_solver(problem: Problem, count: int) -> RowNewton | LearnedSweeps | WarmAdmm:
+    """Return what makes a frame that starts from the one before, where light adds up.
 
-
-def warm_rows() -> RowNewton:
-    """Return the same for frames whose rows are solved by themselves.
-
-    A penalty three times that of single pictures holds layers where they come from: on four videos
-    they changed by 7 to 30 % less from frame to frame, and three steps left less than a percent.
+    Rows that are solved by themselves have a penalty three times that of single pictures, which
+    holds layers where they come from: on four videos they changed by 7 to 30 % less from frame to
+    frame, and three steps left less than a percent. Sweeps in words go on from moved layers, with
+    less momentum than behind steps: near the optimum it would make much of what words round.
     """
-    return RowNewton(penalty=2e-3)
+    if takes_rows(problem):
+        return RowNewton(penalty=2e-3)
+    solver = solver_for(problem, count)
+    if isinstance(solver, LearnedSweeps):
+        return replace(solver, momentum=0.8)
+    return warm_steps(count)
+
+
+def warm_steps(count: int) -> WarmAdmm:
+    """Return the steps that were learned for frames that start from the one before."""
+    return WarmAdmm(shipped_steps("additive-warm").at_most(count).full)
 
 
 @dataclass(frozen=True)

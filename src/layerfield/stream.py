@@ -26,7 +26,7 @@ from torch.nn.functional import pad
 
 from layerfield.clock import Clock
 from layerfield.display import Display
-from layerfield.fast import FastMethod, takes_rows, warm_rows, warm_steps
+from layerfield.fast import FastMethod, takes_rows, warm_solver
 from layerfield.light_field import LightField
 from layerfield.methods import Method, RowsMethod, RunOptions, SolverMethod, ToneMethod
 from layerfield.motion import block_motion, comes_from_inside, moved
@@ -34,6 +34,7 @@ from layerfield.solve import Problem, Solution, Solver
 from layerfield.solvers.fourier_admm import AdmmState
 from layerfield.solvers.fourier_start import FourierStart
 from layerfield.solvers.learned_admm import LearnedState
+from layerfield.solvers.learned_sweeps import LearnedSweeps
 from layerfield.solvers.nearest_shifts import NearestShifts
 from layerfield.solvers.warm_admm import Left, WarmAdmm, moved_start
 from layerfield.synthesizer import find_method, pose
@@ -42,6 +43,7 @@ WARM_ITERATIONS = 3
 _FIRST = 20  # iterations at least, where later frames live on what is made
 _RUN_IN = 8  # frames until the start of a video is forgotten, but for scenes that stand still
 _CUT = 0.3  # share of the variance of a frame that the one before, moved, does not explain
+_AGAIN = 0.7  # momentum from frame to frame, of sweeps
 _DARKEST = 1e-3  # layers darker than this move as if they were this bright
 
 
@@ -191,8 +193,8 @@ def _warm(method: SolverMethod, problem: Problem, count: int) -> SolverMethod:
     """Return what makes the frames that have one before."""
     if not isinstance(method, FastMethod):
         return method
-    steps = warm_rows() if takes_rows(problem) else warm_steps(max(count, 1))
-    return SolverMethod(method.name, method.summary, count, method.links, lambda _: steps)
+    solver = warm_solver(problem, max(count, 1))
+    return SolverMethod(method.name, method.summary, count, method.links, lambda _: solver)
 
 
 def _noted(solution: Solution, problem: Problem, **details: float | str) -> Solution:
@@ -228,16 +230,24 @@ def _started(
     And the layers that were carried to it.
     """
     gram, state, solution = problem.gram, before.solution.state, before.solution
+    again = _momentum(solver, problem.layer_count)
     if type(state) in (LearnedState, AdmmState):  # that of tiles is on a torus of its own
-        warm = isinstance(solver, WarmAdmm)
         left = Left(state.shadow, before.even, before.carried)
-        again = solver.again(problem.layer_count) if warm else 0.0
         start = moved_start(even, left, motion, again=again, size=gram.torus)
-        known = LearnedState(start.state) if warm else replace(state, shadow=start.state)
+        is_warm = isinstance(solver, WarmAdmm)
+        known = LearnedState(start.state) if is_warm else replace(state, shadow=start.state)
         return replace(solution, solver=solver, state=known), start.carried
     layers, bounds = _to_sum(solution.layers, problem), problem.link.sum_bounds
-    start = moved_start(even, Left(layers, before.even, layers), motion, bounds=bounds)
+    left = Left(layers, before.even, before.carried)
+    start = moved_start(even, left, motion, again=again, bounds=bounds)
     return problem.link.from_sum(start.state).clamp(*problem.bounds), start.carried
+
+
+def _momentum(solver: Solver, layers: int) -> float:
+    """Return how much of what the frame before has changed is changed once more."""
+    if isinstance(solver, WarmAdmm):
+        return solver.again(layers)
+    return _AGAIN if isinstance(solver, LearnedSweeps) else 0.0
 
 
 def _to_sum(layers: Tensor, problem: Problem) -> Tensor:

@@ -19,6 +19,7 @@ from layerfield.kernels.words import WORDS
 _WORD, _INT, _FLOAT = ir.IntType(16), ir.IntType(32), ir.FloatType()
 _VECTORS = 4
 _ONE_BY_ONE = (1, WORDS), (1, 1)  # floats are as many as there are pixels
+_BITS = 16
 _POINT = 14  # binary places of a product that are dropped, and one that is rounded
 
 
@@ -75,29 +76,32 @@ def _adding(*given: Any, is_masked: bool) -> Any:
 
 @intrinsic
 def settle(_: Any, rows: Any, most: Any, count: Any) -> Any:
-    """Write P = min(g max(b - sum, 0), most), and what is left of b where the sum was.
+    """Write P = min(max(b - sum, 0) / views, most), and what is left of b where the sum was.
 
-    Words without a gain stay.
+    Rounded exactly: gains have too few places, and what views hardly see would grow from sweep to
+    sweep, or fade. Words without a gain stay.
 
     Args:
-        rows: addresses of rows: P, b, the sum, and gains in parts of 2^15.
+        rows: addresses of rows: P, b, the sum, views, and gains, parts of 2^15 of one over views.
         most: the largest P.
         count: of words, `WORDS` times a whole number.
     """
 
     def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
         rows, most, count = values
-        made, seen, total, gains = cgutils.unpack_tuple(builder, rows)
+        made, seen, total, views, gains = cgutils.unpack_tuple(builder, rows)
         limit = builder.trunc(most, _WORD)
         for lanes, (place,) in side_by_side(builder, count, (1, WORDS)):
-            light, shown, gain, own = (
-                lanes.read(row, place, _WORD) for row in (seen, total, gains, made)
+            light, shown, number, gain, own = (
+                lanes.read(row, place, _WORD) for row in (seen, total, views, gains, made)
             )
             zero, largest = lanes.constant(_WORD, 0), lanes.all(limit)
             more = builder.icmp_unsigned(">", light, shown)
             rest = builder.select(more, builder.sub(light, shown), zero)
             lanes.write(rest, total, place)
             found = _rounded_product(builder, lanes, rest, gain)
+            beyond = builder.sub(rest, builder.mul(found, number))
+            found = builder.add(found, _rounded_product(builder, lanes, beyond, gain))
             found = builder.select(builder.icmp_unsigned("<", found, largest), found, largest)
             is_seen = builder.icmp_unsigned("!=", gain, zero)
             lanes.write(builder.select(is_seen, found, own), made, place)
@@ -107,32 +111,40 @@ def settle(_: Any, rows: Any, most: Any, count: Any) -> Any:
 
 
 @intrinsic
-def push(_: Any, rows: Any, share: Any, most: Any, count: Any) -> Any:
+def push(_: Any, rows: Any, share: Any, more: Any, most: Any, count: Any) -> Any:
     """Write P <- min(max(P + share (P - last P), 0), most), and last P <- P of before.
 
+    What is added is rounded up as often as what lies beyond its whole part says: where it is above
+    a threshold. Rounded to the nearest, the last 1 of a change would be pushed on forever.
+
     Args:
-        rows: addresses of rows: P, and P of one sweep ago.
+        rows: addresses of rows: P, P of one sweep ago, and thresholds, all words.
         share: in parts of 2^15.
-        most: the largest P, less than 2^15.
+        more: by which thresholds go up; beyond 2^16 they begin anew.
+        most: the largest P, less than 2^14.
         count: of words, `WORDS` times a whole number.
     """
 
     def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
-        rows, share, most, count = values
-        here, ago = cgutils.unpack_tuple(builder, rows)
-        limit, factor = (builder.trunc(each, _WORD) for each in (most, share))
+        rows, *numbers, count = values
+        here, ago, thresholds = cgutils.unpack_tuple(builder, rows)
+        factor, shift, limit = (builder.trunc(each, _WORD) for each in numbers)
         for lanes, (place,) in side_by_side(builder, count, (1, WORDS)):
-            now, before = (lanes.read(each, place, _WORD) for each in (here, ago))
+            now, before, threshold = (
+                lanes.read(each, place, _WORD) for each in (here, ago, thresholds)
+            )
             zero, largest = lanes.constant(_WORD, 0), lanes.all(limit)
             lanes.write(now, ago, place)
-            change = builder.sub(now, before)
-            found = builder.add(now, _rounded_product(builder, lanes, change, lanes.all(factor)))
+            change = builder.shl(builder.sub(now, before), lanes.constant(_WORD, 1))
+            whole, beyond = _product(builder, lanes, change, lanes.all(factor))
+            is_up = builder.icmp_unsigned(">", beyond, builder.add(threshold, lanes.all(shift)))
+            found = builder.add(now, builder.add(whole, builder.zext(is_up, lanes.of(_WORD))))
             found = builder.select(builder.icmp_signed(">", found, zero), found, zero)
             found = builder.select(builder.icmp_signed("<", found, largest), found, largest)
             lanes.write(found, here, place)
         return WHOLE(0)
 
-    return kinds.intp(rows, share, most, count), generate
+    return kinds.intp(rows, share, more, most, count), generate
 
 
 @intrinsic
@@ -200,3 +212,10 @@ def _rounded_product(builder: Any, lanes: Lanes, one: Any, other: Any) -> Any:
     halves = builder.ashr(builder.mul(*wide), lanes.constant(_INT, _POINT))
     rounded = builder.add(halves, lanes.constant(_INT, 1))
     return builder.trunc(builder.ashr(rounded, lanes.constant(_INT, 1)), lanes.of(_WORD))
+
+
+def _product(builder: Any, lanes: Lanes, one: Any, other: Any) -> tuple[Any, Any]:
+    """Return the product of words with a sign over 2^16, rounded down, and what lies beyond."""
+    wide = (builder.sext(each, lanes.of(_INT)) for each in (one, other))
+    whole = builder.ashr(builder.mul(*wide), lanes.constant(_INT, _BITS))
+    return builder.trunc(whole, lanes.of(_WORD)), builder.mul(one, other)

@@ -21,6 +21,7 @@ Layers = Float[Tensor, "*batch 1 layer c ly lx"]
 
 _LOAD, _PUSH = -1, -2  # turns that are no layers
 _ONE = 2**15  # what shares are parts of
+_STRIDE = 40503  # golden section of 2^16: any number of sweeps round up evenly
 _AT_ONCE = 4  # sweeps: of more, parts would be few
 
 
@@ -38,7 +39,11 @@ class LayerWords:
 
 
 def swept(
-    words: Words, seen: Layers, begun: Layers | LayerWords, pushes: Sequence[float]
+    words: Words,
+    seen: Layers,
+    begun: Layers | LayerWords,
+    pushes: Sequence[float],
+    made: int = 0,
 ) -> tuple[Layers, LayerWords]:
     """Return layers after sweeps, pixels from 0 to 1, and in words.
 
@@ -49,6 +54,7 @@ def swept(
         seen: b, of views from 0 to 1; contiguous, of single precision, on a processor.
         begun: where sweeps begin: words, or layers whose rows are contiguous, and then clamped.
         pushes: of sweeps, less than 1; the first of layers that are no words yet is 0.
+        made: sweeps made before: each rounds in a way of its own.
 
     Raises:
         ValueError: layers of another shape than those of the equations.
@@ -76,7 +82,11 @@ def swept(
     for first in range(0, len(pushes), _AT_ONCE):
         turns = [] if first > 0 else [(_LOAD, int(is_new), 0)]
         for n, push in enumerate(pushes[first : first + _AT_ONCE], first):
-            turns += [(_PUSH, round(push * _ONE), 0)] if n > 0 or not is_new else []
+            turns += (
+                [(_PUSH, round(push * _ONE), (made + n) * _STRIDE % 2**16)]
+                if n > 0 or not is_new
+                else []
+            )
             turns += [(k, 0, int(n == len(pushes) - 1)) for k in range(number)]
         parts, needs = parts_of(planes, height, reach, len(turns))
         passes, numbers = np.array(turns), len(turns) * layers.numel()
@@ -154,7 +164,7 @@ def _settle_parts(arrays, begun, words, turns, parts, begin, end):
                 y = row_at(parts, part, turn, step, reach)
                 if y < 0:
                     continue
-                what, share, is_last = turns[turn]
+                what, share, last = turns[turn]
                 row, layer = (item * number * channels + channel) * height + y, channels * height
                 if what == _LOAD:
                     for j in range(number):
@@ -168,12 +178,22 @@ def _settle_parts(arrays, begun, words, turns, parts, begin, end):
                     for j in range(number):
                         place = 2 * (row + j * layer) * words.width
                         rows = arrays.now.ctypes.data + place, arrays.ago.ctypes.data + place
-                        _push(rows, share, words.most, words.width)
+                        known = (channel * number + j) * height + y
+                        both = *rows, _thresholds(words, known)
+                        _push(both, share, last, words.most, words.width)
                 else:
                     for j in range(number):
                         _add_rows(room, words, (what, j, y), arrays.now, row + j * layer)
                     _add_columns(room, words, what, words.row_counts[what, y] > 0)
-                    _find(arrays, words, room, (what, y), row + what * layer, is_last > 0)
+                    _find(arrays, words, room, (what, y), row + what * layer, last > 0)
+
+
+@compiled
+def _thresholds(words, row):
+    """Return where thresholds are, from another word on for every row."""
+    return words.thresholds.ctypes.data + 2 * (
+        row * _STRIDE % (len(words.thresholds) - words.width)
+    )
 
 
 @compiled
@@ -232,12 +252,13 @@ def _find(arrays, words, room, place, row, is_last):
     """Find a row of a layer, as a picture, too, if nothing follows."""
     (k, y), width, total = place, arrays.seen.shape[4], room.total.ctypes.data
     count, here = words.row_counts[k, y], arrays.now.ctypes.data + 2 * row * words.width
-    gains = (count * words.gains.shape[1] + k) * words.width
+    table = 2 * (count * words.gains.shape[1] + k) * words.width
     rows = (
         here,
         arrays.target.ctypes.data + 2 * row * words.width,
         total,
-        words.gains.ctypes.data + 2 * gains,
+        words.views.ctypes.data + table,
+        words.gains.ctypes.data + table,
     )
     _settle(rows, words.most, words.width)
     if is_last:

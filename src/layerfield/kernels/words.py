@@ -14,6 +14,7 @@ WORDS = 32  # that go side by side; rows are as long as a multiple of them
 _LARGEST, _LARGEST_LIGHT = 2**16 - 1, 2**15 - 1  # of sums, and of light that is multiplied
 _FEWEST, _MOST = 255, 2**14 - 1  # of pixels: panels show so many; less than twice of it is a word
 _ONE = 2**15  # what gains are parts of
+_NOISE = 1021  # places where a row may begin in it
 
 
 class Words(NamedTuple):
@@ -28,10 +29,12 @@ class Words(NamedTuple):
         row_counts: `[layer, row]`, positions of viewers that see it.
         row_is_seen: `[layer, band, row]`, whether the row of the other layer is seen with it.
         masks: `[layer, band, column]`, all bits set where the other column is seen with it.
-        gains: `[row count, layer, column]`, parts of 2^15 of one over how many views see a pixel.
+        views: `[row count, layer, column]`, how many see a pixel.
+        gains: likewise, parts of 2^15 of one over that.
         shares: `[layer, column]`, one over how many positions see it; 0 where none does.
         inside: `[layer, 2]`, from which word to which all positions see columns.
         reach: the farthest offsets, of rows and of columns.
+        thresholds: noise, of a row and `_NOISE` words more.
     """
 
     most: int
@@ -42,10 +45,12 @@ class Words(NamedTuple):
     row_counts: np.ndarray
     row_is_seen: np.ndarray
     masks: np.ndarray
+    views: np.ndarray
     gains: np.ndarray
     shares: np.ndarray
     inside: np.ndarray
     reach: np.ndarray
+    thresholds: np.ndarray
 
 
 def words_of(system: GridSystem, weight: float) -> Words | None:
@@ -71,6 +76,7 @@ def words_of(system: GridSystem, weight: float) -> Words | None:
         offsets[direction, :, : each.offsets.shape[1]] = each.offsets
     masks = np.zeros((layers, bands, width), np.uint16)
     masks[:, : sides[1].shares.shape[1], :pixels] = np.where(sides[1].shares > 0, _LARGEST, 0)
+    views_of = _views(*counts, width)
     return Words(
         most,
         weight,
@@ -80,20 +86,26 @@ def words_of(system: GridSystem, weight: float) -> Words | None:
         counts[0],
         sides[0].shares > 0,
         masks,
-        _gains(counts[0], counts[1], width),
+        views_of,
+        _gains(views_of),
         system.columns.gains,
         _inside(system.columns, width),
         np.array([each.reach for each in sides]),
+        np.random.default_rng(0).integers(2**16, size=width + _NOISE, dtype=np.uint16),
     )
 
 
-def _gains(rows: np.ndarray, columns: np.ndarray, width: int) -> np.ndarray:
-    """Return 2^15 over the views that see a pixel, for every number of positions along y."""
-    views = np.arange(rows.max() + 1)[:, None, None] * columns
-    found = np.divide(_ONE, views, out=np.zeros(views.shape), where=views > 0).round()
-    made = np.zeros((*views.shape[:2], width), np.uint16)
-    made[..., : columns.shape[1]] = found.clip(max=_LARGEST_LIGHT)
+def _views(rows: np.ndarray, columns: np.ndarray, width: int) -> np.ndarray:
+    """Return how many views see a pixel, for every number of positions along y."""
+    made = np.zeros((rows.max() + 1, len(columns), width), np.uint16)
+    made[..., : columns.shape[1]] = np.arange(len(made))[:, None, None] * columns
     return made
+
+
+def _gains(views: np.ndarray) -> np.ndarray:
+    """Return 2^15 over views, 0 where there is none."""
+    found = np.divide(_ONE, views, out=np.zeros(views.shape), where=views > 0).round()
+    return found.clip(max=_LARGEST_LIGHT).astype(np.uint16)
 
 
 def _inside(columns: Bands, width: int) -> np.ndarray:

@@ -15,7 +15,7 @@ from layerfield.solve import Problem
 from layerfield.solvers.learned_admm import LearnedAdmm, LearnedState, Unbegun
 from layerfield.solvers.sweeps import Sweeps, SweepsState, best_layer
 
-_ROUNDING = 40  # numbers of a word for each sweep: of more, what rounding leaves is seen
+_ROUNDING = 10  # numbers of a word for each sweep: of more, what rounding leaves is seen
 _BRIGHTEST = 1 + 1e-5  # of a view; sums of floats are rounded
 
 
@@ -44,7 +44,7 @@ class LearnedSweeps:
     bounds; without the views and in words, four cost less than a step. The layers of any number
     of steps have been swept over; behind the last of them an iteration is four sweeps more, and
     so it is from layers that are given. The push grows with the sweeps. Where rounding
-    would be seen, behind 32 of 5x5 views and three layers, others in floats follow (`Sweeps`).
+    would be seen, behind 131 of 5x5 views and three layers, others in floats follow (`Sweeps`).
 
     Args:
         direct: the steps.
@@ -56,14 +56,16 @@ class LearnedSweeps:
     direct: LearnedAdmm
     sweeps: int = 4
     growth: float = 1.8
-    momentum: float = 0.9
+    momentum: float = 0.95
 
     def init(
         self, problem: Problem, start: SweptState | LearnedState | Unbegun | Tensor | None
     ) -> SweptState | LearnedState | Unbegun:
+        if isinstance(start, SweptState):
+            start = start.layers  # not how they moved, which may have been for other views
         if isinstance(start, Tensor):
             return SweptState(start.detach().to(problem.back_projected).contiguous())
-        return start if isinstance(start, SweptState) else self.direct.init(problem, start)
+        return self.direct.init(problem, start)
 
     def step(
         self, problem: Problem, state: SweptState | LearnedState | Unbegun
@@ -118,7 +120,7 @@ class LearnedSweeps:
         if is_plain():
             return _swept_plainly(problem, state, pushes)
         begun = state.words or state.layers
-        layers, made = swept(words, problem.back_projected, begun, pushes)
+        layers, made = swept(words, problem.back_projected, begun, pushes, state.count)
         return SweptState(layers, state.count + count, made)
 
 

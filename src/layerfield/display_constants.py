@@ -16,7 +16,7 @@ from layerfield.kernels.words import Words, words_of
 from layerfield.projection import Projection
 from layerfield.row_system import row_entries
 
-_KEPT = 3  # displays and sizes; more would rather fill the memory than save time
+_KEPT = 4  # displays and sizes; more would rather fill the memory than save time
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from layerfield.display import Display
+from layerfield.half_size import half_of
 from layerfield.io.safe_output import whole_file
 from layerfield.kernels import sweep_passes
 from layerfield.links import LINKS, Link, Multiplicative
@@ -45,6 +46,7 @@ _FAR, _FAR_OF_PRODUCTS = 24, 28  # unknowns that the matrix of a row reaches
 _STEPS = 4  # unless told otherwise
 _SWEEPS = 2  # of an iteration, where they are quick: better than a Newton step, and sooner
 _BEFORE_WORDS = 2  # learned steps at the most, where sweeps of words follow
+_FEW = 4  # layers; of more, what half size tells is less, and sweeps of whole size are more
 
 
 @dataclass(frozen=True)
@@ -211,7 +213,10 @@ def solver_for(problem: Problem, count: int) -> Solver:
         return RowNewton() if problem.link.is_sum else RowGaussNewton()
     solver = steps_for(problem).solver(count)
     if isinstance(solver, LearnedAdmm) and serves_words(problem):
-        return LearnedSweeps(steps_for(problem).at_most(min(count, _BEFORE_WORDS)).direct)
+        is_halved = half_of(problem.projection, problem.view_size) is not None
+        steps = _BEFORE_WORDS if is_halved else min(count, _BEFORE_WORDS)
+        swept = LearnedSweeps(steps_for(problem).at_most(steps).direct)
+        return swept if problem.layer_count <= _FEW else replace(swept, early=3, inner=2, outer=4)
     if not isinstance(solver, FourierNewton):
         return solver
     if takes_sweeps(problem):
@@ -244,12 +249,12 @@ def warm_steps(count: int) -> WarmAdmm:
 class FastMethod(SolverMethod):
     """Learned steps; see `LearnedAdmm`.
 
-    Where light adds up, an iteration is a step, or, behind two, some sweeps (see `LearnedSweeps`).
-    Where views stand in a row it is one of `RowNewton`
-    or, of light that is multiplied, `RowGaussNewton`, of which nothing is learned (see
-    `takes_rows`). Elsewhere, where light is multiplied, steps on logarithms are the start, and an
-    iteration is a Newton step, learned ones from given layers too; on a GPU two sweeps (see
-    `takes_sweeps`), and of displays with subframes, which Newton steps do not serve, a sweep.
+    Where light adds up, an iteration is a step, or some sweeps at half and whole size (see
+    `LearnedSweeps`). Where views stand in a row it is one of `RowNewton` or, of light that is
+    multiplied, `RowGaussNewton`, of which nothing is learned (see `takes_rows`). Elsewhere, where
+    light is multiplied, steps on logarithms are the start, and an iteration is a Newton step,
+    learned ones from given layers too; on a GPU two sweeps (see `takes_sweeps`), and of displays
+    with subframes, which Newton steps do not serve, a sweep.
     """
 
     @classmethod

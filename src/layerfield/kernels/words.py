@@ -76,7 +76,7 @@ def words_of(system: GridSystem, weight: float) -> Words | None:
         offsets[direction, :, : each.offsets.shape[1]] = each.offsets
     masks = np.zeros((layers, bands, width), np.uint16)
     masks[:, : sides[1].shares.shape[1], :pixels] = np.where(sides[1].shares > 0, _LARGEST, 0)
-    views_of = _views(*counts, width)
+    views_of = _views(counts[0], counts[1], width)
     return Words(
         most,
         weight,

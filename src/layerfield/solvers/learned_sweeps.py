@@ -1,12 +1,13 @@
 """A few learned steps, then sweeps layer by layer in words, where views stand in a grid."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from layerfield.half_size import Half, at_half_size, at_whole_size, half_of
 from layerfield.kernels.compiled import is_plain
 from layerfield.kernels.word_sweeps import LayerWords, swept
 from layerfield.kernels.words import Words
@@ -33,6 +34,19 @@ class SweptState:
     after: SweepsState | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class HalfState:
+    """The problem at half size, what is known of it, and how many iterations were made of whole."""
+
+    half: Half
+    problem: Problem
+    state: "LearnedSweepsState"
+    count: int = 0
+
+
+LearnedSweepsState = SweptState | HalfState | LearnedState | Unbegun
+
+
 @dataclass(frozen=True)
 class LearnedSweeps:
     """Learned steps, and accelerated sweeps behind them, in 16-bit words.
@@ -41,61 +55,88 @@ class LearnedSweeps:
         clamp(P + push (P - P of one sweep ago))
 
     Steps in the Fourier domain are quick to find what is far apart, sweeps what is near, and at
-    bounds; without the views and in words, four cost less than a step. The layers of any number
-    of steps have been swept over; behind the last of them an iteration is four sweeps more, and
-    so it is from layers that are given. The push grows with the sweeps. Where rounding
-    would be seen, behind 131 of 5x5 views and three layers, others in floats follow (`Sweeps`).
+    bounds; without the views and in words, four cost less than a step. What is far apart is found
+    at half size, where all costs a quarter (see `half_size`): by the steps, by sweeps behind them,
+    and, where views are many, at half the half. From there layers of whole size begin,
+
+        P = e + up(Q - e of half size)
+
+    with e the balanced start. Where half size serves not, steps are of whole size. The layers of
+    any number of iterations have been swept over; behind `early` ones, and from layers that are
+    given, an iteration is four sweeps. The push grows with the sweeps. Where rounding would be
+    seen, behind 131 of 5x5 views and three layers, others in floats follow (`Sweeps`).
 
     Args:
         direct: the steps.
-        sweeps: of an iteration, which then takes about as long as a step.
+        sweeps: of an iteration, which then takes about as long as a step; and behind steps.
+        early: iterations that go on at half size,
+        inner: each by so many there,
+        outer: and by so many sweeps of whole size; of the first twice as many.
         growth: of the push: growth n / (n + 2) for the nth behind the first sweep.
         momentum: the largest push.
     """
 
     direct: LearnedAdmm
     sweeps: int = 4
+    early: int = 5
+    inner: int = 3
+    outer: int = 2
     growth: float = 1.8
     momentum: float = 0.95
 
     def init(
-        self, problem: Problem, start: SweptState | LearnedState | Unbegun | Tensor | None
-    ) -> SweptState | LearnedState | Unbegun:
+        self, problem: Problem, start: LearnedSweepsState | Tensor | None
+    ) -> LearnedSweepsState:
         if isinstance(start, SweptState):
             start = start.layers  # not how they moved, which may have been for other views
         if isinstance(start, Tensor):
             return SweptState(start.detach().to(problem.back_projected).contiguous())
-        return self.direct.init(problem, start)
+        if isinstance(start, HalfState) and start.count > 0:
+            return self._begun(problem, start)
+        half = half_of(problem.projection, problem.view_size)
+        if half is None:
+            return self.direct.init(problem, None if isinstance(start, HalfState) else start)
+        small = at_half_size(problem, half)
+        return HalfState(half, small, self.init(small, None))
 
-    def step(
-        self, problem: Problem, state: SweptState | LearnedState | Unbegun
-    ) -> SweptState | LearnedState | Unbegun:
+    def step(self, problem: Problem, state: LearnedSweepsState) -> LearnedSweepsState:
         return self.steps(problem, state, 1)
 
-    def steps(
-        self, problem: Problem, state: SweptState | LearnedState | Unbegun, count: int
-    ) -> SweptState | LearnedState | Unbegun:
+    def steps(self, problem: Problem, state: LearnedSweepsState, count: int) -> LearnedSweepsState:
         if isinstance(state, SweptState):
             return self._swept(problem, state, self.sweeps * count)
-        made = 0 if isinstance(state, Unbegun) else state.count
-        learned = max(0, min(count, len(self.direct.full) - made))
-        known = self.direct.steps(problem, state, learned)
-        if learned == count:
+        if isinstance(state, HalfState):
+            early = min(count, self.early - state.count)
+            inner = self.steps(state.problem, state.state, self.inner * early)
+            known = replace(state, state=inner, count=state.count + early)
+        else:
+            made = 0 if isinstance(state, Unbegun) else state.count
+            early = max(0, min(count, len(self.direct.full) - made))
+            known = self.direct.steps(problem, state, early)
+        if early == count:
             return known
-        sweeps = self.sweeps * (1 + count - learned)
+        sweeps = self._behind(known) + self.sweeps * (count - early)
         return self._swept(problem, self._begun(problem, known), sweeps)
 
     def layers(
-        self, problem: Problem, state: SweptState | LearnedState | Unbegun
+        self, problem: Problem, state: LearnedSweepsState
     ) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         if isinstance(state, SweptState):
             return state.layers
-        if isinstance(state, Unbegun):
-            return self.direct.layers(problem, state)
-        return self._swept(problem, self._begun(problem, state), self.sweeps).layers
+        if isinstance(state, Unbegun) or state.count == 0:
+            return problem.even_start().clamp(*problem.bounds)
+        return self._swept(problem, self._begun(problem, state), self._behind(state)).layers
 
-    def _begun(self, problem: Problem, state: LearnedState | Unbegun) -> SweptState:
-        """Return the layers of learned steps, as they are before they are clamped."""
+    def _behind(self, state: HalfState | LearnedState | Unbegun) -> int:
+        """Return how many sweeps follow what is known so far."""
+        at_half = isinstance(state, HalfState)
+        return self.outer * (state.count + 1) if at_half else self.sweeps
+
+    def _begun(self, problem: Problem, state: HalfState | LearnedState | Unbegun) -> SweptState:
+        """Return layers as they are before they are clamped."""
+        if isinstance(state, HalfState):
+            change = self.layers(state.problem, state.state) - state.problem.even_start()
+            return SweptState(at_whole_size(problem, state.half, change))
         if isinstance(state, LearnedState) and state.after is None:
             return SweptState(problem.gram.from_torus(state.shadow))
         return SweptState(self.direct.layers(problem, state))

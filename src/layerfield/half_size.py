@@ -1,0 +1,113 @@
+"""A problem at half its size: what is far apart is near there, and a step costs a quarter.
+
+Not all views are asked for. Those whose light paths move by even numbers of pixels have paths
+through whole pixels at half size, too, where sweeps are quick; the others would meet layers between
+pixels, and what they say of layers that look alike would be blurred.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn.functional import conv2d, interpolate, pad
+
+from layerfield.kept_views import LARGEST, KeptViews
+from layerfield.kernels.compiled import serve
+from layerfield.kernels.halves import halved_views, refined_start
+from layerfield.projection import Projection
+from layerfield.solve import Problem
+
+_LEAST = 32  # pixels of a view along a side; smaller ones have little of large pixels
+
+
+class Half(NamedTuple):
+    """A display at half size.
+
+    Args:
+        views: those that are asked for.
+        projection: A, from layers to these.
+        before: pixels (y, x) of whole size by which its layers begin before those of whole size.
+    """
+
+    views: Sequence[int]
+    projection: Projection
+    before: tuple[int, int]
+
+
+@lru_cache
+def half_of(projection: Projection, view_size: tuple[int, int]) -> Half | None:
+    """Return a display at half size.
+
+    None where views are small, or too few have light paths that move by even numbers of pixels:
+    two along each direction at the least, but where there is a single one.
+    """
+    if type(projection) is not Projection or min(view_size) < _LEAST:
+        return None
+    chosen = [n for n, paths in enumerate(projection.shifts) if _are_even(paths)]
+    for direction in range(2):
+        every = {tuple(path[direction] for path in paths) for paths in projection.shifts}
+        found = {tuple(path[direction] for path in projection.shifts[n]) for n in chosen}
+        if len(found) < min(2, len(every)):
+            return None
+    shifts = tuple(tuple((x / 2, y / 2) for x, y in projection.shifts[n]) for n in chosen)
+    my, mx = projection.margin
+    margin = -(-my // 2), -(-mx // 2)
+    return Half(chosen, Projection(shifts, margin), (2 * margin[0] - my, 2 * margin[1] - mx))
+
+
+def _are_even(paths: Sequence[tuple[float, float]]) -> bool:
+    return all(shift % 2 == 0 for path in paths for shift in path)
+
+
+def at_half_size(problem: Problem, half: Half) -> Problem:
+    """Return the problem of showing means of pixels on layers of half size.
+
+    Those of 2x2 pixels would change with the first pixel: layers of a picture that moves by one
+    would move less alike.
+    """
+    weights = tuple(problem.weights[n] for n in half.views)
+    views = KeptViews(_halved(problem.views, half.views))
+    return replace(problem, projection=half.projection, views=views, weights=weights)
+
+
+def at_whole_size(
+    problem: Problem, half: Half, change: Float[Tensor, "*batch 1 layer c hy hx"]
+) -> Float[Tensor, "*batch 1 layer c ly lx"]:
+    """Return the balanced start and how layers of half size differ from theirs, interpolated.
+
+    Args:
+        problem: at its whole size.
+        half: what it is at half size.
+        change: layers of half size less their balanced start.
+    """
+    seen = problem.back_projected
+    if serve(seen, change):
+        return refined_start(seen, *problem.even_shares, change, half.before)
+    height, width = seen.shape[-2:]
+    planes = change.reshape(1, -1, *change.shape[-2:])
+    wide = interpolate(planes, scale_factor=2, mode="bilinear")[0]
+    top, left = half.before
+    found = wide[:, top : top + height, left : left + width]
+    return problem.even_start() + found.reshape(seen.shape)
+
+
+def _halved(views: KeptViews, chosen: Sequence[int]) -> Float[Tensor, "*batch some c hy hx"]:
+    if serve(views.like):
+        share = 1 / LARGEST[views.stored.dtype] if views.is_whole else 1.0
+        return halved_views(views.stored, chosen, views.table, share)
+    return torch.stack([_mean(views.view(n)) for n in chosen], dim=-4)
+
+
+def _mean(view: Float[Tensor, "*batch c y x"]) -> Float[Tensor, "*batch c hy hx"]:
+    height, width = view.shape[-2:]
+    planes = pad(
+        view.reshape(1, -1, height, width), (1, 1 + width % 2, 1, 1 + height % 2), "replicate"
+    )
+    shares = torch.tensor([1, 3, 3, 1], dtype=view.dtype) / 8
+    kernel = (shares[:, None] * shares)[None, None]
+    made = conv2d(planes.transpose(0, 1), kernel, stride=2)
+    return made.reshape(*view.shape[:-2], *made.shape[-2:])

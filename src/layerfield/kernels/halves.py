@@ -1,0 +1,141 @@
+"""Pictures of half the size, and what was found there brought back to the whole size."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Float, Num
+from torch import Tensor
+
+from layerfield.kernels.blends import planes_of
+from layerfield.kernels.compiled import compiled
+from layerfield.kernels.starts import even_of
+
+
+def halved_views(
+    stored: Num[Tensor, "*batch view c y x"],
+    chosen: Sequence[int],
+    table: Float[Tensor, " code"] | None,
+    share: float,
+) -> Float[Tensor, "*batch some c hy hx"]:
+    """Return the means of 4x4 pixels, of shares 1, 3, 3, 1; beyond its edges a picture goes on.
+
+    Args:
+        stored: codes, or values of single precision, on a processor.
+        chosen: of which views.
+        table: what every code stands for.
+        share: what it is multiplied by, where there is no table.
+    """
+    *batch, number, channels, height, width = stored.shape
+    size = len(chosen), channels, -(-height // 2), -(-width // 2)
+    made = torch.empty((*batch, *size), dtype=torch.float32)
+    planes = made.view(-1, *size).numpy()
+    known = stored.detach().contiguous().view(-1, number, channels, height, width).numpy()
+    which, count, numbers = np.array(chosen), len(planes) * size[0], made.numel()
+    if table is None:
+        given = planes, known, which, np.float32(share / 64)
+        _average.in_spans(*given, count=count, numbers=numbers)
+    else:
+        given = planes, known, which, np.float32(1 / 64), table.detach().numpy()
+        _average_known.in_spans(*given, count=count, numbers=numbers)
+    return made
+
+
+@compiled
+def _average(made, stored, chosen, share, begin, end):
+    channels, height, width = stored.shape[2:]
+    sums, three = np.empty(width + 3, np.float32), np.float32(3)
+    for n in range(begin, end):
+        item, view = divmod(n, len(chosen))
+        for c in range(channels):
+            rows = stored[item, chosen[view], c]
+            for y in range(made.shape[3]):
+                first, second = rows[max(2 * y - 1, 0)], rows[2 * y]
+                third, last = rows[min(2 * y + 1, height - 1)], rows[min(2 * y + 2, height - 1)]
+                for x in range(width):
+                    outer = np.float32(first[x]) + np.float32(last[x])
+                    inner = np.float32(second[x]) + np.float32(third[x])
+                    sums[x + 1] = outer + three * inner
+                _narrow(made[item, view, c, y], sums, share)
+
+
+@compiled
+def _average_known(made, stored, chosen, share, table, begin, end):
+    channels, height, width = stored.shape[2:]
+    sums, three = np.empty(width + 3, np.float32), np.float32(3)
+    for n in range(begin, end):
+        item, view = divmod(n, len(chosen))
+        for c in range(channels):
+            rows = stored[item, chosen[view], c]
+            for y in range(made.shape[3]):
+                first, second = rows[max(2 * y - 1, 0)], rows[2 * y]
+                third, last = rows[min(2 * y + 1, height - 1)], rows[min(2 * y + 2, height - 1)]
+                for x in range(width):
+                    outer = table[first[x]] + table[last[x]]
+                    sums[x + 1] = outer + three * (table[second[x]] + table[third[x]])
+                _narrow(made[item, view, c, y], sums, share)
+
+
+@compiled
+def _narrow(made, sums, share):
+    """Write the sums of four, one before and after two; before the first, the first goes on."""
+    width, three = len(sums) - 3, np.float32(3)
+    sums[0], sums[width + 1], sums[width + 2] = sums[1], sums[width], sums[width]
+    for x in range(len(made)):
+        outer = sums[2 * x] + sums[2 * x + 3]
+        made[x] = share * (outer + three * (sums[2 * x + 1] + sums[2 * x + 2]))
+
+
+def refined_start(
+    seen: Float[Tensor, "*batch layer c ly lx"],
+    shares: Float[Tensor, "layer 1 ly lx"],
+    rest: Float[Tensor, "*batch 1 c 1 1"],
+    change: Float[Tensor, "*batch layer c hy hx"],
+    before: tuple[int, int],
+) -> Float[Tensor, "*batch layer c ly lx"]:
+    """Return a balanced start, and a change at half size, interpolated linearly.
+
+    Args:
+        seen: of single precision, on a processor, as all others.
+        shares: what to multiply it by; where that is 0
+        rest: is taken.
+        change: as far as the layers and no less; goes on at its edges.
+        before: pixels (y, x) of whole size by which it begins before the layers, 0 or 1.
+    """
+    even, made = even_of(seen, shares, rest), torch.empty_like(seen)
+    planes, known = planes_of(made), planes_of(seen.contiguous())
+    changes, begins = planes_of(change.contiguous()), np.array(before)
+    given, count = (planes, known, even, changes, begins), len(planes) * seen.shape[-2]
+    _refine.in_spans(*given, count=count, numbers=made.numel())
+    return made
+
+
+_NEAR, _FAR = np.float32(0.75), np.float32(0.25)
+
+
+@compiled
+def _refine(made, seen, even, change, before, begin, end):
+    """Rows of all planes."""
+    _, height, width = made.shape
+    rows, columns = change.shape[1:]
+    layers, channels = len(even.shares), even.rest.shape[1]
+    beside = np.empty(columns + 2, np.float32)
+    wide = np.empty(2 * columns, np.float32)
+    for n in range(begin, end):
+        plane, y = divmod(n, height)
+        both, channel = divmod(plane, channels)
+        item, layer = divmod(both, layers)
+        here = (y + before[0]) // 2
+        other = min(max(here + 2 * ((y + before[0]) % 2) - 1, 0), rows - 1)
+        near, far = change[plane, here], change[plane, other]
+        for x in range(columns):
+            beside[x + 1] = _NEAR * near[x] + _FAR * far[x]
+        beside[0], beside[columns + 1] = beside[1], beside[columns]
+        for x in range(columns):
+            wide[2 * x] = _NEAR * beside[x + 1] + _FAR * beside[x]
+            wide[2 * x + 1] = _NEAR * beside[x + 1] + _FAR * beside[x + 2]
+        shares, light, to = even.shares[layer, y], seen[plane, y], made[plane, y]
+        rest, first = even.rest[item, channel], before[1]
+        for x in range(width):
+            start = shares[x] * light[x] if shares[x] > 0 else rest
+            to[x] = start + wide[x + first]

@@ -213,15 +213,20 @@ def solver_for(problem: Problem, count: int) -> Solver:
         return RowNewton() if problem.link.is_sum else RowGaussNewton()
     solver = steps_for(problem).solver(count)
     if isinstance(solver, LearnedAdmm) and serves_words(problem):
-        is_halved = half_of(problem.projection, problem.view_size) is not None
-        steps = _BEFORE_WORDS if is_halved else min(count, _BEFORE_WORDS)
-        swept = LearnedSweeps(steps_for(problem).at_most(steps).direct)
-        return swept if problem.layer_count <= _FEW else replace(swept, early=3, inner=2, outer=4)
+        return _with_sweeps(problem, count)
     if not isinstance(solver, FourierNewton):
         return solver
     if takes_sweeps(problem):
         return replace(solver.start, refine=Sweeps(sweeps=_SWEEPS))
     return solver.start if problem.subframes > 1 else solver
+
+
+def _with_sweeps(problem: Problem, count: int) -> LearnedSweeps:
+    """Return what sweeps in words; at half size there are two steps however few iterations."""
+    is_halved = half_of(problem.projection, problem.view_size) is not None
+    steps = _BEFORE_WORDS if is_halved else min(count, _BEFORE_WORDS)
+    solver = LearnedSweeps(steps_for(problem).at_most(steps).direct)
+    return solver if problem.layer_count <= _FEW else replace(solver, early=3, inner=2, outer=4)
 
 
 def warm_solver(problem: Problem, count: int) -> RowNewton | LearnedSweeps | WarmAdmm:

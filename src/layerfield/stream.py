@@ -10,7 +10,8 @@ the middle of the viewers sees, found by block matching. What comes into the pic
 that pixels near there have. Without m the dual holds pixels at bounds that have moved on, and a
 start can be worse than none. Where light adds up, `fast` has steps that were learned for such a
 start, and goes on where the steps of the frame before went: see `WarmAdmm`. Where views stand in
-a row, too, it starts from moved layers, and is near the optimum after a step: see `RowNewton`.
+a grid and look at whole pixels, on a processor, it sweeps on from moved layers: see
+`LearnedSweeps`; where they stand in a row it solves from there for whole rows: see `RowNewton`.
 Where the direct solver makes the start of every run and sweeps or Newton steps follow (links that
 are no sum), that start is better than moved layers: each frame has its own, and fewer of those.
 """
@@ -229,11 +230,11 @@ def _started(
 
     And the layers that were carried to it.
     """
-    gram, state, solution = problem.gram, before.solution.state, before.solution
+    state, solution = before.solution.state, before.solution
     again = _momentum(solver, problem.layer_count)
     if type(state) in (LearnedState, AdmmState):  # that of tiles is on a torus of its own
         left = Left(state.shadow, before.even, before.carried)
-        start = moved_start(even, left, motion, again=again, size=gram.torus)
+        start = moved_start(even, left, motion, again=again, size=problem.gram.torus)
         is_warm = isinstance(solver, WarmAdmm)
         known = LearnedState(start.state) if is_warm else replace(state, shadow=start.state)
         return replace(solution, solver=solver, state=known), start.carried

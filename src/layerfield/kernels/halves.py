@@ -43,47 +43,42 @@ def halved_views(
 
 @compiled
 def _average(made, stored, chosen, share, begin, end):
-    channels, height, width = stored.shape[2:]
-    sums, three = np.empty(width + 3, np.float32), np.float32(3)
+    sums = np.empty(stored.shape[4] + 3, np.float32)
     for n in range(begin, end):
         item, view = divmod(n, len(chosen))
-        for c in range(channels):
-            rows = stored[item, chosen[view], c]
-            for y in range(made.shape[3]):
-                first, second = rows[max(2 * y - 1, 0)], rows[2 * y]
-                third, last = rows[min(2 * y + 1, height - 1)], rows[min(2 * y + 2, height - 1)]
-                for x in range(width):
-                    outer = np.float32(first[x]) + np.float32(last[x])
-                    inner = np.float32(second[x]) + np.float32(third[x])
-                    sums[x + 1] = outer + three * inner
-                _narrow(made[item, view, c, y], sums, share)
+        for c in range(stored.shape[2]):
+            _halve(made[item, view, c], stored[item, chosen[view], c], sums, share)
 
 
 @compiled
 def _average_known(made, stored, chosen, share, table, begin, end):
     channels, height, width = stored.shape[2:]
-    sums, three = np.empty(width + 3, np.float32), np.float32(3)
+    sums, plane = np.empty(width + 3, np.float32), np.empty((height, width), np.float32)
     for n in range(begin, end):
         item, view = divmod(n, len(chosen))
         for c in range(channels):
-            rows = stored[item, chosen[view], c]
-            for y in range(made.shape[3]):
-                first, second = rows[max(2 * y - 1, 0)], rows[2 * y]
-                third, last = rows[min(2 * y + 1, height - 1)], rows[min(2 * y + 2, height - 1)]
+            codes = stored[item, chosen[view], c]
+            for y in range(height):
                 for x in range(width):
-                    outer = table[first[x]] + table[last[x]]
-                    sums[x + 1] = outer + three * (table[second[x]] + table[third[x]])
-                _narrow(made[item, view, c, y], sums, share)
+                    plane[y, x] = table[codes[y, x]]
+            _halve(made[item, view, c], plane, sums, share)
 
 
 @compiled
-def _narrow(made, sums, share):
-    """Write the sums of four, one before and after two; before the first, the first goes on."""
-    width, three = len(sums) - 3, np.float32(3)
-    sums[0], sums[width + 1], sums[width + 2] = sums[1], sums[width], sums[width]
-    for x in range(len(made)):
-        outer = sums[2 * x] + sums[2 * x + 3]
-        made[x] = share * (outer + three * (sums[2 * x + 1] + sums[2 * x + 2]))
+def _halve(made, plane, sums, share):
+    """Write the sums of four rows, of shares 1, 3, 3, 1, then of four columns."""
+    (height, width), three = plane.shape, np.float32(3)
+    for y in range(len(made)):
+        first, second = plane[max(2 * y - 1, 0)], plane[2 * y]
+        third, last = plane[min(2 * y + 1, height - 1)], plane[min(2 * y + 2, height - 1)]
+        for x in range(width):
+            outer = np.float32(first[x]) + np.float32(last[x])
+            sums[x + 1] = outer + three * (np.float32(second[x]) + np.float32(third[x]))
+        sums[0], sums[width + 1], sums[width + 2] = sums[1], sums[width], sums[width]
+        to = made[y]
+        for x in range(len(to)):
+            outer = sums[2 * x] + sums[2 * x + 3]
+            to[x] = share * (outer + three * (sums[2 * x + 1] + sums[2 * x + 2]))
 
 
 def refined_start(

@@ -87,15 +87,15 @@ class LearnedSweeps:
     def init(
         self, problem: Problem, start: LearnedSweepsState | Tensor | None
     ) -> LearnedSweepsState:
+        if isinstance(start, HalfState):
+            start = self._begun(problem, start) if start.count > 0 else None
         if isinstance(start, SweptState):
             start = start.layers  # not how they moved, which may have been for other views
         if isinstance(start, Tensor):
             return SweptState(start.detach().to(problem.back_projected).contiguous())
-        if isinstance(start, HalfState) and start.count > 0:
-            return self._begun(problem, start)
         half = half_of(problem.projection, problem.view_size)
         if half is None:
-            return self.direct.init(problem, None if isinstance(start, HalfState) else start)
+            return self.direct.init(problem, start)
         small = at_half_size(problem, half)
         return HalfState(half, small, self.init(small, None))
 

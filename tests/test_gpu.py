@@ -295,7 +295,8 @@ def test_what_colours_do_not_serve():
         assert not colour_sweeps.serves(each.light_paths, each.bounds)
         layers = drawn(each.layer_shape)
         assert not sweep_passes.serve_colours(each.light_paths, layers, each.bounds)
-        assert not takes_sweeps(each)
+    assert takes_sweeps(grey) == (grey.device.type == "cpu")  # they are quick for any colours there
+    assert not takes_sweeps(between)
     many = posed("multiplicative", "[3, 2, 1, 0, -1, -2]", channels=3)  # compiled for minutes
     assert not colour_sweeps.serves(many.light_paths, many.bounds)
     deep = posed("multiplicative", "[3, 2, 1, 0, -1, -2, -3]", (3, 1), channels=3)

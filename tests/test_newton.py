@@ -125,7 +125,7 @@ def test_converged_layers_are_not_left():
 
 
 def test_more_newton_steps_are_better_and_more_than_learned_go_on():
-    shown = Display.load("multiplicative-3")
+    shown = display("views = [5, 5]\ndisparity = [1, 0, -0.5]")
     field = procedural_light_field(size=(96, 120), disparity_range=(-2, 2), seed=3)
     problem = pose(field, shown)
     errors = {
@@ -163,7 +163,7 @@ def test_steps_that_raise_the_error_become_shorter():
 
 
 def test_behind_the_learned_steps_a_solution_goes_on_as_if_never_stopped():
-    shown = Display.load("multiplicative-3")
+    shown = display("views = [5, 5]\ndisparity = [1, 0, -0.5]")
     field = procedural_light_field(size=(48, 56), seed=2)
     most = max(shipped_steps("multiplicative").steps)
     whole = synthesize(field, shown, method="fast", iterations=most + 3)

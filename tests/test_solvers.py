@@ -174,7 +174,7 @@ GOLDEN = {
     ("sart", "additive"): 31.18,
     ("sweeps", "additive"): 31.76,
     ("fourier-admm", "multiplicative"): 34.55,
-    ("fast", "multiplicative"): 34.52,
+    ("fast", "multiplicative"): 34.63,
     ("fourier-tiles", "multiplicative"): 34.55,
     ("gradient", "multiplicative"): 28.94,
     ("ntf", "multiplicative"): 33.77,

@@ -31,6 +31,7 @@ from layerfield.shipped import TRAINED
 from layerfield.solve import Problem, Solution, Solver
 from layerfield.solvers.admm_steps import Constants
 from layerfield.solvers.fourier_start import FourierStart
+from layerfield.solvers.halved_sweeps import HalvedSweeps
 from layerfield.solvers.learned_admm import LearnedAdmm
 from layerfield.solvers.learned_sweeps import LearnedSweeps, serves_words
 from layerfield.solvers.newton_admm import FourierNewton, NewtonAdmm
@@ -128,9 +129,12 @@ class Learned:
         rows = self.at_most(count)
         if LINKS[self.card.link].is_sum:
             return rows.direct
-        dark = Multiplicative(darkest=self.card.darkest)
-        start = FourierStart(rows.direct, len(rows.full), nearly=dark)
-        return FourierNewton(start, NewtonAdmm(rows.newton))
+        return FourierNewton(self.start(count), NewtonAdmm(rows.newton))
+
+    def start(self, count: int) -> FourierStart:
+        """Return what solves in logarithms before so many Newton steps, or before sweeps."""
+        rows, dark = self.at_most(count), Multiplicative(darkest=self.card.darkest)
+        return FourierStart(rows.direct, len(rows.full), nearly=dark)
 
 
 def write_learned(path: Path, learned: Learned) -> None:
@@ -201,9 +205,11 @@ def takes_rows(problem: Problem) -> bool:
 def takes_sweeps(problem: Problem) -> bool:
     """Whether sweeps are so quick that they follow the start where light is multiplied.
 
-    A GPU makes two while it makes a Newton step; on a processor a sweep takes longer than a step.
+    Where light paths lead through whole pixels, two are made while a Newton step is.
     """
     like = problem.views.like.new_empty(problem.subframes, 0, 0, 0, 0)
+    if problem.device.type == "cpu":
+        return problem.subframes == 1 and problem.projection.is_whole
     return sweep_passes.serve_colours(problem.light_paths, like, problem.bounds)
 
 
@@ -216,9 +222,11 @@ def solver_for(problem: Problem, count: int) -> Solver:
         return _with_sweeps(problem, count)
     if not isinstance(solver, FourierNewton):
         return solver
-    if takes_sweeps(problem):
-        return replace(solver.start, refine=Sweeps(sweeps=_SWEEPS))
-    return solver.start if problem.subframes > 1 else solver
+    if not takes_sweeps(problem):
+        return solver.start if problem.subframes > 1 else solver
+    if problem.device.type == "cpu" and half_of(problem.projection, problem.view_size):
+        return HalvedSweeps(steps_for(problem).start(1))
+    return replace(solver.start, refine=Sweeps(sweeps=_SWEEPS))
 
 
 def _with_sweeps(problem: Problem, count: int) -> LearnedSweeps:
@@ -257,9 +265,10 @@ class FastMethod(SolverMethod):
     Where light adds up, an iteration is a step, or some sweeps at half and whole size (see
     `LearnedSweeps`). Where views stand in a row it is one of `RowNewton` or, of light that is
     multiplied, `RowGaussNewton`, of which nothing is learned (see `takes_rows`). Elsewhere, where
-    light is multiplied, steps on logarithms are the start, and an iteration is a Newton step,
-    learned ones from given layers too; on a GPU two sweeps (see `takes_sweeps`), and of displays
-    with subframes, which Newton steps do not serve, a sweep.
+    light is multiplied, steps on logarithms are the start, at half size where that serves (see
+    `HalvedSweeps`). An iteration is two sweeps where they are quick (see `takes_sweeps`), otherwise
+    a Newton step, learned ones from given layers too; and of displays with subframes, which Newton
+    steps do not serve, a sweep.
     """
 
     @classmethod

@@ -1,4 +1,4 @@
-"""Layers rounded to the codes of a panel, in one pass."""
+"""Layers rounded to the codes of a panel, and what codes of views stand for, in one pass."""
 
 import numpy as np
 import torch
@@ -22,6 +22,28 @@ def codes_of(
     seen, made = (each.contiguous().view(-1).numpy() for each in (values.detach(), codes))
     _round.in_spans(made, seen, np.float32(largest), count=len(seen), numbers=len(seen))
     return codes
+
+
+def looked_up(
+    codes: UInt[Tensor, "*shape"], table: UInt[Tensor, " code"]
+) -> UInt[Tensor, "*shape"]:
+    """Return what codes stand for, on a processor.
+
+    Args:
+        codes: of views.
+        table: what each stands for.
+    """
+    found = torch.empty(codes.shape, dtype=table.dtype)
+    seen, made = (each.view(-1).numpy() for each in (codes.contiguous(), found))
+    _look_up.in_spans(made, seen, table.numpy(), count=len(seen), numbers=len(seen))
+    return found
+
+
+@compiled
+def _look_up(made, codes, table, begin, end):
+    seen, found = codes[begin:end], made[begin:end]
+    for x in range(len(found)):
+        found[x] = table[seen[x]]
 
 
 @compiled

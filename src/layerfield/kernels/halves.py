@@ -97,20 +97,52 @@ def refined_start(
         change: as far as the layers and no less; goes on at its edges.
         before: pixels (y, x) of whole size by which it begins before the layers, 0 or 1.
     """
+    return _refined(seen, shares, rest, change, before, np.zeros(0, np.float32))
+
+
+def refined_product(
+    seen: Float[Tensor, "*batch layer c ly lx"],
+    shares: Float[Tensor, "layer 1 ly lx"],
+    rest: Float[Tensor, "*batch 1 c 1 1"],
+    change: Float[Tensor, "*batch layer c hy hx"],
+    before: tuple[int, int],
+    law: Float[Tensor, " level"],
+) -> Float[Tensor, "*batch layer c ly lx"]:
+    """Return a law of a balanced start, multiplied by what is found at half size in between.
+
+    Args:
+        seen: as of `refined_start`, and so the others.
+        shares: the same.
+        rest: the same.
+        change: at half size.
+        before: the same.
+        law: of starts from 0 to 1, at even steps.
+    """
+    return _refined(seen, shares, rest, change, before, law.numpy())
+
+
+def _refined(
+    seen: Tensor,
+    shares: Tensor,
+    rest: Tensor,
+    change: Tensor,
+    before: tuple[int, int],
+    law: np.ndarray,
+) -> Tensor:
     even, made = even_of(seen, shares, rest), torch.empty_like(seen)
     planes, known = planes_of(made), planes_of(seen.contiguous())
     changes, begins = planes_of(change.contiguous()), np.array(before)
-    given, count = (planes, known, even, changes, begins), len(planes) * seen.shape[-2]
+    given, count = (planes, known, even, changes, begins, law), len(planes) * seen.shape[-2]
     _refine.in_spans(*given, count=count, numbers=made.numel())
     return made
 
 
-_NEAR, _FAR = np.float32(0.75), np.float32(0.25)
+_NEAR, _FAR, _HALF = np.float32(0.75), np.float32(0.25), np.float32(0.5)
 
 
 @compiled
-def _refine(made, seen, even, change, before, begin, end):
-    """Rows of all planes."""
+def _refine(made, seen, even, change, before, law, begin, end):
+    """Rows of all planes; with a law they are multiplied, and added up without."""
     _, height, width = made.shape
     rows, columns = change.shape[1:]
     layers, channels = len(even.shares), even.rest.shape[1]
@@ -131,6 +163,13 @@ def _refine(made, seen, even, change, before, begin, end):
             wide[2 * x + 1] = _NEAR * beside[x + 1] + _FAR * beside[x + 2]
         shares, light, to = even.shares[layer, y], seen[plane, y], made[plane, y]
         rest, first = even.rest[item, channel], before[1]
-        for x in range(width):
-            start = shares[x] * light[x] if shares[x] > 0 else rest
-            to[x] = start + wide[x + first]
+        if len(law) == 0:
+            for x in range(width):
+                start = shares[x] * light[x] if shares[x] > 0 else rest
+                to[x] = start + wide[x + first]
+        else:
+            most = np.float32(len(law) - 1)
+            for x in range(width):
+                start = shares[x] * light[x] if shares[x] > 0 else rest
+                level = min(max(start * most + _HALF, _HALF), most)
+                to[x] = law[np.int64(level)] * wide[x + first]

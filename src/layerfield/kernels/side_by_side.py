@@ -50,6 +50,32 @@ class Lanes:
         there, size = self._at(row, place, kind)
         self._builder.store(values, there, align=size)
 
+    def read_some(self, row: Any, place: Any, kind: ir.Type, chosen: Any) -> Any:
+        """Return those of a row from a place on that are chosen, and 0 elsewhere.
+
+        Memory where none is chosen is not looked at.
+        """
+        there, size = self._at(row, place, kind)
+        values, bits = self.of(kind), self.of(ir.IntType(1))
+        called = ir.FunctionType(values, [there.type, ir.IntType(32), bits, values])
+        given = there, ir.IntType(32)(size), chosen, ir.Constant(values, None)
+        return self._builder.call(self._masked("load", kind, called), given)
+
+    def write_some(self, values: Any, row: Any, place: Any, chosen: Any) -> None:
+        """Write those that are chosen into a row from a place on."""
+        kind = values.type.element
+        there, size = self._at(row, place, kind)
+        bits = self.of(ir.IntType(1))
+        called = ir.FunctionType(ir.VoidType(), [values.type, there.type, ir.IntType(32), bits])
+        given = values, there, ir.IntType(32)(size), chosen
+        self._builder.call(self._masked("store", kind, called), given)
+
+    def _masked(self, what: str, kind: Any, called: ir.FunctionType) -> Any:
+        name = f"v{self._count}{kind.intrinsic_name}"
+        return cgutils.get_or_insert_function(
+            self._builder.module, called, f"llvm.masked.{what}.{name}.p0{name}"
+        )
+
     def _at(self, row: Any, place: Any, kind: ir.Type) -> tuple[Any, int]:
         """Return where they are, and the bytes of one."""
         first = self._builder.inttoptr(row, kind.as_pointer())

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.grid_system import GridSystem
-from layerfield.kernels import grid_sweeps, sweep_passes
+from layerfield.kernels import grid_sweeps, product_sweeps, sweep_passes
 from layerfield.kernels.compiled import serve
 from layerfield.kernels.light_paths import Shares
 from layerfield.links import Additive
@@ -86,6 +86,8 @@ def _swept(problem: Problem, state: SweepsState, *, exact: bool) -> tuple[Tensor
     given, paths = (state.layers, state.last, state.push), problem.light_paths
     if not exact and sweep_passes.serve_colours(paths, state.layers, problem.bounds):
         return sweep_passes.swept_colours(paths, *given)
+    if product_sweeps.serves(paths, state.layers):
+        return product_sweeps.swept(paths, *given, problem.bounds)
     ahead = sweep_passes.ahead(*given, problem.bounds)
     if (grid := _grid(problem, ahead)) is not None and state.layers.is_contiguous():
         seen = problem.back_projected

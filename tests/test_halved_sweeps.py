@@ -54,13 +54,7 @@ def test_a_display_has_the_solver_that_serves_it():
 
 
 @pytest.mark.parametrize(
-    "text",
-    [
-        FIVE,
-        "views = [5, 5]\ndisparity = [1, -1]",
-        "views = [5, 5]\ndisparity = [2, 0, -2]",
-        "views = [9, 9]\ndisparity = [1, 0, -1]",
-    ],
+    "text", [FIVE, "views = [5, 5]\ndisparity = [1, -1]", "views = [9, 9]\ndisparity = [1, 0, -1]"]
 )
 def test_each_iteration_is_better_than_twice_as_many_newton_steps(text):
     problem = posed(text)
@@ -124,9 +118,8 @@ def test_layers_that_are_smooth_are_found_again():
     assert known.mean_square_error(made) < 1e-5
 
 
-@pytest.mark.parametrize("text", [FIVE, "views = [5, 5]\ndisparity = [4, 0, -4]"])
-def test_iterations_one_by_one_are_those_made_at_once(text):
-    problem = posed(text, size=(72, 80))
+def test_iterations_one_by_one_are_those_made_at_once():
+    problem = posed(size=(48, 56))
     solver = solver_for(problem, 10)
     at_once = solve(problem, solver, iterations=10).layers
     seen = list[int]()

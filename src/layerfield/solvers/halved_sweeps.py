@@ -22,7 +22,7 @@ class HalvedState:
 
     half: Half
     problem: Problem
-    state: "HalvedState | SweepsState"
+    state: SweepsState
     count: int = 0
 
 
@@ -33,8 +33,7 @@ class HalvedSweeps:
     At half size, where nine of 25 views are asked for, a sweep takes less than a tenth of the time.
     There steps on logarithms are the start. An iteration is `inner` sweeps at half size and one of
     whole size more; behind `early` ones, and from layers that are given, it is `later` sweeps of
-    whole size. Where views are many, or disparities large, layers of half size are found at half of
-    that in turn, by `nested` iterations each.
+    whole size.
 
     Before those of whole size come two sweeps with a third of the views each, no two of which stand
     side by side: what half size could not show is the same in all of them.
@@ -42,8 +41,7 @@ class HalvedSweeps:
     Args:
         start: of layers of half size; its sweeps are not made.
         early: iterations that go on at half size.
-        inner: sweeps of each there,
-        nested: or iterations.
+        inner: sweeps of each there.
         later: sweeps of an iteration behind those.
         coarse: how to sweep at half size.
         fine: how to at whole size.
@@ -52,7 +50,6 @@ class HalvedSweeps:
     start: FourierStart
     early: int = 8
     inner: int = 10
-    nested: int = 3
     later: int = 2
     coarse: Sweeps = field(default_factory=lambda: Sweeps(momentum=0.95))
     fine: Sweeps = field(default_factory=Sweeps)
@@ -68,8 +65,7 @@ class HalvedSweeps:
         if half is None:
             raise ValueError("found no views whose paths lead through whole pixels of half size")
         small = at_half_size(problem, half)
-        begin = self if _is_halved(small) else self.start
-        return HalvedState(half, small, begin.init(small, None))
+        return HalvedState(half, small, self.start.init(small, None))
 
     def step(self, problem: Problem, state: HalvedState | SweepsState) -> HalvedState | SweepsState:
         return self.steps(problem, state, 1)
@@ -80,8 +76,9 @@ class HalvedSweeps:
         if isinstance(state, SweepsState):
             return replace(self.fine, sweeps=self.later * count).step(problem, state)
         early = min(count, self.early - state.count)
-        further = self._further(state.problem, state.state, early)
-        known = replace(state, state=further, count=state.count + early)
+        coarse = replace(self.coarse, sweeps=self.inner * early)
+        inner = coarse.step(state.problem, state.state)
+        known = replace(state, state=inner, count=state.count + early)
         if early == count:
             return known
         return self.steps(problem, self._swept(problem, known), count - early)
@@ -91,16 +88,8 @@ class HalvedSweeps:
     ) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         return (state if isinstance(state, SweepsState) else self._swept(problem, state)).layers
 
-    def _further(
-        self, small: Problem, state: HalvedState | SweepsState, count: int
-    ) -> HalvedState | SweepsState:
-        """Return what is known at half size after so many iterations more."""
-        if isinstance(state, HalvedState) or _is_halved(small):
-            return self.steps(small, state, self.nested * count)
-        return replace(self.coarse, sweeps=self.inner * count).step(small, state)
-
     def _begun(self, problem: Problem, known: HalvedState) -> Tensor:
-        found = self.layers(known.problem, known.state)
+        found = self.coarse.layers(known.problem, known.state)
         layers = at_whole_size_of_products(problem, known.half, found, known.problem)
         return layers.clamp(*problem.bounds)
 
@@ -115,10 +104,6 @@ class HalvedSweeps:
         # They count as one sweep: momentum begins with the second.
         begun = replace(state, count=torch.ones_like(state.count))
         return replace(self.fine, sweeps=known.count).step(problem, begun)
-
-
-def _is_halved(problem: Problem) -> bool:
-    return half_of(problem.projection, problem.view_size) is not None
 
 
 def _plain(state: SweepsState) -> SweepsState:

@@ -207,9 +207,9 @@ def takes_sweeps(problem: Problem) -> bool:
 
     Where light paths lead through whole pixels, two are made while a Newton step is.
     """
-    like = problem.views.like.new_empty(problem.subframes, 0, 0, 0, 0)
     if problem.device.type == "cpu":
         return problem.subframes == 1 and problem.projection.is_whole
+    like = problem.views.like.new_empty(problem.subframes, 0, 0, 0, 0)
     return sweep_passes.serve_colours(problem.light_paths, like, problem.bounds)
 
 

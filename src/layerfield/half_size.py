@@ -17,7 +17,7 @@ from torch.nn.functional import conv2d, interpolate, pad
 
 from layerfield.kept_views import LARGEST, KeptViews
 from layerfield.kernels.compiled import serve
-from layerfield.kernels.halves import halved_views, refined_product, refined_start
+from layerfield.kernels.halves import halved_views, refined_start
 from layerfield.projection import Projection
 from layerfield.solve import Problem
 
@@ -92,13 +92,6 @@ def at_whole_size(
     return problem.even_start() + _twice(change, half.before, seen.shape)
 
 
-def _twice(change: Tensor, before: tuple[int, int], shape: Sequence[int]) -> Tensor:
-    """Return what is between pixels of half size, as large as layers."""
-    planes, (height, width), (top, left) = change.flatten(0, -3)[None], shape[-2:], before
-    wide = interpolate(planes, scale_factor=2, mode="bilinear")[0]
-    return wide[:, top : top + height, left : left + width].reshape(shape)
-
-
 def at_whole_size_of_products(
     problem: Problem, half: Half, layers: Float[Tensor, "*batch 1 layer c hy hx"], small: Problem
 ) -> Float[Tensor, "*batch 1 layer c ly lx"]:
@@ -119,12 +112,19 @@ def at_whole_size_of_products(
     ratio = layers / (small.even_start() * number).clamp(min=_DARK).pow(1 / number)
     codes = replace(problem, views=KeptViews(problem.views.stored))
     law = _root_of_light(problem.views.table, number).to(layers)
-    seen, (shares, rest), given = codes.back_projected, codes.even_shares, (ratio, half.before, law)
+    seen, (shares, rest) = codes.back_projected, codes.even_shares
     if serve(seen, ratio):
-        return refined_product(seen, number * shares, number * rest, *given)
+        return refined_start(seen, number * shares, number * rest, ratio, half.before, law)
     start = number * torch.where(shares > 0, seen * shares, rest)
     levels = (start * (len(law) - 1)).round().long().clamp(0, len(law) - 1)
     return law[levels] * _twice(ratio, half.before, seen.shape)
+
+
+def _twice(change: Tensor, before: tuple[int, int], shape: Sequence[int]) -> Tensor:
+    """Return what is between pixels of half size, as large as layers."""
+    planes, (height, width), (top, left) = change.flatten(0, -3)[None], shape[-2:], before
+    wide = interpolate(planes, scale_factor=2, mode="bilinear")[0]
+    return wide[:, top : top + height, left : left + width].reshape(shape)
 
 
 def _root_of_light(table: Tensor | None, number: int) -> Float[Tensor, " level"]:

@@ -35,15 +35,20 @@ def looked_up(
     """
     found = torch.empty(codes.shape, dtype=table.dtype)
     seen, made = (each.view(-1).numpy() for each in (codes.contiguous(), found))
-    _look_up.in_spans(made, seen, table.numpy(), count=len(seen), numbers=len(seen))
+    _look_up_spans.in_spans(made, seen, table.numpy(), count=len(seen), numbers=len(seen))
     return found
 
 
 @compiled
-def _look_up(made, codes, table, begin, end):
-    seen, found = codes[begin:end], made[begin:end]
-    for x in range(len(found)):
-        found[x] = table[seen[x]]
+def look_up(made, codes, table):
+    """Write what the codes of a row stand for."""
+    for x in range(len(made)):
+        made[x] = table[np.int64(codes[x])]
+
+
+@compiled
+def _look_up_spans(made, codes, table, begin, end):
+    look_up(made[begin:end], codes[begin:end], table)
 
 
 @compiled

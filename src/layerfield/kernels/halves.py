@@ -8,6 +8,7 @@ from jaxtyping import Float, Num
 from torch import Tensor
 
 from layerfield.kernels.blends import planes_of
+from layerfield.kernels.codes import look_up
 from layerfield.kernels.compiled import compiled
 from layerfield.kernels.starts import even_of
 
@@ -59,8 +60,7 @@ def _average_known(made, stored, chosen, share, table, begin, end):
         for c in range(channels):
             codes = stored[item, chosen[view], c]
             for y in range(height):
-                for x in range(width):
-                    plane[y, x] = table[codes[y, x]]
+                look_up(plane[y], codes[y], table)
             _halve(made[item, view, c], plane, sums, share)
 
 
@@ -87,8 +87,11 @@ def refined_start(
     rest: Float[Tensor, "*batch 1 c 1 1"],
     change: Float[Tensor, "*batch layer c hy hx"],
     before: tuple[int, int],
+    law: Float[Tensor, " level"] | None = None,
 ) -> Float[Tensor, "*batch layer c ly lx"]:
-    """Return a balanced start, and a change at half size, interpolated linearly.
+    """Return a balanced start and, added to it, a change at half size, interpolated linearly.
+
+    With a law, what it makes of the start, multiplied by the change.
 
     Args:
         seen: of single precision, on a processor, as all others.
@@ -96,43 +99,13 @@ def refined_start(
         rest: is taken.
         change: as far as the layers and no less; goes on at its edges.
         before: pixels (y, x) of whole size by which it begins before the layers, 0 or 1.
-    """
-    return _refined(seen, shares, rest, change, before, np.zeros(0, np.float32))
-
-
-def refined_product(
-    seen: Float[Tensor, "*batch layer c ly lx"],
-    shares: Float[Tensor, "layer 1 ly lx"],
-    rest: Float[Tensor, "*batch 1 c 1 1"],
-    change: Float[Tensor, "*batch layer c hy hx"],
-    before: tuple[int, int],
-    law: Float[Tensor, " level"],
-) -> Float[Tensor, "*batch layer c ly lx"]:
-    """Return a law of a balanced start, multiplied by what is found at half size in between.
-
-    Args:
-        seen: as of `refined_start`, and so the others.
-        shares: the same.
-        rest: the same.
-        change: at half size.
-        before: the same.
         law: of starts from 0 to 1, at even steps.
     """
-    return _refined(seen, shares, rest, change, before, law.numpy())
-
-
-def _refined(
-    seen: Tensor,
-    shares: Tensor,
-    rest: Tensor,
-    change: Tensor,
-    before: tuple[int, int],
-    law: np.ndarray,
-) -> Tensor:
     even, made = even_of(seen, shares, rest), torch.empty_like(seen)
     planes, known = planes_of(made), planes_of(seen.contiguous())
     changes, begins = planes_of(change.contiguous()), np.array(before)
-    given, count = (planes, known, even, changes, begins, law), len(planes) * seen.shape[-2]
+    levels = np.zeros(0, np.float32) if law is None else law.numpy()
+    given, count = (planes, known, even, changes, begins, levels), len(planes) * seen.shape[-2]
     _refine.in_spans(*given, count=count, numbers=made.numel())
     return made
 

@@ -18,10 +18,11 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from layerfield.kept_views import LARGEST, KeptViews
-from layerfield.kernels.codes import looked_up
+from layerfield.kernels.codes import look_up, looked_up
 from layerfield.kernels.compiled import compiled, native, serve
 from layerfield.kernels.light_paths import LightPaths
 from layerfield.kernels.parts import parts_of, row_at, steps_of
+from layerfield.kernels.sweep_passes import extrapolate
 from layerfield.links import Multiplicative
 from layerfield.projection import Projection
 
@@ -37,14 +38,6 @@ class _Arrays(NamedTuple):
     made: np.ndarray
     layers: np.ndarray
     last: np.ndarray
-
-
-class _Views(NamedTuple):
-    """`[n, view, c, y, x]` as stored, what codes stand for if a law says so, and weights."""
-
-    stored: np.ndarray
-    table: np.ndarray
-    weights: np.ndarray
 
 
 class _Paths(NamedTuple):
@@ -102,8 +95,7 @@ def swept(
     known, (items, _, channels, height, _) = _paths(paths.projection), arrays.made.shape
     parts, needs = parts_of(items * channels, height, known.reach, number + 1)
     sums, limits = np.zeros(len(parts)), _Limits(*map(np.float32, (*bounds, 1 / paths.unit)))
-    views = _Views(*paths.arrays)
-    each = (0,) * (number - 1)
+    views, each = paths.arrays, (0,) * (number - 1)
     given = each, arrays, sums, views, known, push.flatten().numpy(), parts, limits
     numbers = number * views.stored.size
     _settle_parts.in_spans(*given, count=len(parts), numbers=numbers, needs=needs)
@@ -165,8 +157,7 @@ def _settle_parts(each, arrays, uphill, views, paths, pushes, parts, limits, beg
             for turn in range(number + 1):
                 y = row_at(parts, part, turn, step, paths.reach)
                 if y >= 0 and turn == 0:
-                    for k in range(number):
-                        _extrapolate(arrays, (item, k, channel, y), pushes[item], limits)
+                    _begin_rows(arrays, (item, channel, y), pushes[item], limits)
                 elif y >= 0:
                     place = item, turn - 1, channel, y
                     back += _settle_row(each, arrays, views, paths, room, place, limits)
@@ -174,54 +165,60 @@ def _settle_parts(each, arrays, uphill, views, paths, pushes, parts, limits, beg
 
 
 @compiled
-def _extrapolate(arrays, place, push, limits):
-    item, k, channel, y = place
-    made, row = arrays.made[item, k, channel, y], arrays.layers[item, k, channel, y]
-    last = arrays.last[item, k, channel, y]
-    for x in range(len(row)):
-        moved = row[x] + push * (row[x] - last[x])
-        made[x] = min(max(moved, limits.low), limits.high)
+def _begin_rows(arrays, place, push, limits):
+    """Write where the sweep begins into a row of every layer."""
+    item, channel, y = place
+    for k in range(arrays.made.shape[1]):
+        row, ago = arrays.layers[item, k, channel, y], arrays.last[item, k, channel, y]
+        extrapolate(arrays.made[item, k, channel, y], row, ago, push, limits)
 
 
 @compiled
 def _settle_row(each, arrays, views, paths, room, place, limits):
     """Settle a row of a layer, and return how far that led back."""
-    item, k, channel, y = place
-    number, _, width = arrays.made.shape[1], 0, arrays.made.shape[4]
-    height, columns = views.stored.shape[3:]
-    level = (
-        arrays.made.ctypes.data + item * arrays.made.strides[0] + channel * arrays.made.strides[2]
-    )
-    seen, first, last = 0, 0, width
-    for i in range(len(views.weights)):
-        row = y - paths.top[i, k]
-        if row < 0 or row >= height or views.weights[i] == 0:
-            continue
-        left, n = paths.left[i, k], 0
-        for j in range(number):
-            if j != k:
-                across = paths.left[i, j] - left
-                there = (row + paths.top[i, j]) * arrays.made.strides[3] + across * 4
-                room.others[seen, n] = level + j * arrays.made.strides[1] + there
-                n += 1
-        room.light[seen] = _light_at(views, room, (item, i, channel, row), left, seen, k == 0)
-        room.lefts[seen], room.weights[seen] = left, views.weights[i]
-        first, last = max(first, left), min(last, left + columns)
-        seen += 1
-    last = max(first, last)
-    span, rows = (width, first, last, columns), level + k * arrays.made.strides[1]
-    at = y * arrays.made.strides[3]
-    before = arrays.layers.ctypes.data + (rows - arrays.made.ctypes.data) + at
+    (item, k, channel, y), made = place, arrays.made
+    above = item * made.strides[0] + channel * made.strides[2]
+    here = above + k * made.strides[1] + y * made.strides[3]
+    level = made.ctypes.data + above
+    seen, first, last = _find_paths(made, views, paths, room, place, level)
+    rows = made.ctypes.data + here, arrays.layers.ctypes.data + here
     tables = (
         room.others.ctypes.data,
         room.light.ctypes.data,
         room.lefts.ctypes.data,
         room.weights.ctypes.data,
     )
+    span = made.shape[4], first, last, views.stored.shape[4]
     known = limits.low, limits.high, limits.unit
     if len(views.table) > 0:
-        return _settle_paths(each, room.looked_up, (rows + at, before), tables, seen, span, known)
-    return _settle_paths(each, views.stored, (rows + at, before), tables, seen, span, known)
+        return _settle_paths(each, room.looked_up, rows, tables, seen, span, known)
+    return _settle_paths(each, views.stored, rows, tables, seen, span, known)
+
+
+@compiled
+def _find_paths(made, views, paths, room, place, level):
+    """Fill the tables of a row; return how many views look at it, and from where to where all do.
+
+    Row 0 of layer 0 is at `level`.
+    """
+    item, k, channel, y = place
+    _, layer_size, _, row_size, size = made.strides
+    height, columns = views.stored.shape[3:]
+    seen, first, last = 0, 0, made.shape[4]
+    for i in range(len(views.weights)):
+        row, left, n = y - paths.top[i, k], paths.left[i, k], 0
+        if row < 0 or row >= height or views.weights[i] == 0:
+            continue
+        for j in range(made.shape[1]):
+            if j != k:
+                there = (row + paths.top[i, j]) * row_size + (paths.left[i, j] - left) * size
+                room.others[seen, n] = level + j * layer_size + there
+                n += 1
+        room.light[seen] = _light_at(views, room, (item, i, channel, row), left, seen, k == 0)
+        room.lefts[seen], room.weights[seen] = left, views.weights[i]
+        first, last = max(first, left), min(last, left + columns)
+        seen += 1
+    return seen, first, max(first, last)
 
 
 @compiled
@@ -239,6 +236,5 @@ def _light_at(views, room, place, left, seen, is_first):
             _ask_for(there + codes.strides[3], codes.strides[3])
         return there - left * codes.strides[4]
     codes, light = views.stored[item, i, channel, row], room.looked_up[seen]
-    for x in range(len(codes)):
-        light[x] = views.table[np.int64(codes[x])]
+    look_up(light, codes, views.table)
     return light.ctypes.data - 4 * left

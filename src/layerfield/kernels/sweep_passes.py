@@ -167,11 +167,12 @@ def _extrapolate_rows(result, layers, last, push, bounds, begin, end):
     """Rows of all layers, one after the other, from and to."""
     for number in range(begin, end):
         item, row = divmod(number, layers.shape[1])
-        _extrapolate(result[item, row], layers[item, row], last[item, row], push[item], bounds)
+        extrapolate(result[item, row], layers[item, row], last[item, row], push[item], bounds)
 
 
 @compiled
-def _extrapolate(made, row, last, push, bounds):
+def extrapolate(made, row, last, push, bounds):
+    """Write where a sweep begins into a row; see `ahead`."""
     for x in range(len(row)):
         moved = row[x] + push * (row[x] - last[x])
         made[x] = min(max(moved, bounds.low), bounds.high)

@@ -3,8 +3,9 @@
 import pytest
 import torch
 
-from layerfield import Display, Problem
+from layerfield import DisparitySpec, Display, Problem
 from layerfield.display_spec import parse_spec
+from layerfield.kernels.codes import mean_of
 from layerfield.kernels.compiled import plain
 from layerfield.kernels.starts import shared_start
 from layerfield.panels import quantise
@@ -53,3 +54,20 @@ def test_what_asks_for_derivatives_is_served_where_none_are_kept():
         codes = quantise(seen, 8)
     assert not start.requires_grad
     assert codes.equal(quantise(seen.detach(), 8))
+
+
+@pytest.mark.parametrize(("dtype", "largest"), [(torch.uint8, 255), (torch.uint16, 65535)])
+@pytest.mark.parametrize("batch", [(), (2,)])
+def test_the_mean_of_what_codes_stand_for(dtype, largest, batch):
+    generator = torch.Generator().manual_seed(3)
+    codes = torch.randint(largest + 1, (*batch, 5, 3, 21, 40), generator=generator).to(dtype)
+    table = torch.rand(largest + 1, generator=generator) - 0.3
+    expected = table.double()[codes.long()].mean(dim=(-4, -3, -2, -1))
+    torch.testing.assert_close(mean_of(codes, table), expected, atol=1e-7, rtol=0)
+    problem = Problem.of(
+        Display(DisparitySpec(link="additive", disparity=(1.0, -1.0), views=(5, 1))), codes
+    )
+    start = problem.flat_start()
+    assert start.shape == problem.layer_shape
+    with plain():
+        torch.testing.assert_close(start, problem.flat_start())

@@ -47,6 +47,15 @@ class KeptViews:
         dtype = torch.float32 if self.table is None else self.table.dtype
         return torch.empty(0, dtype=dtype, device=self.stored.device)
 
+    @property
+    def levels(self) -> Float[Tensor, " code"]:
+        """What every code stands for, of views that are kept as whole numbers."""
+        if self.table is not None:
+            return self.table
+        largest = LARGEST[self.stored.dtype]
+        levels = torch.arange(largest + 1, dtype=torch.float32, device=self.stored.device)
+        return levels / largest
+
     def view(self, index: int) -> Float[Tensor, "*batch c y x"]:
         """Return the values of one view."""
         return self._values(self.stored[..., index, :, :, :])
@@ -68,10 +77,16 @@ class KeptViews:
         """Return the views after a law that acts on each value by itself, as `Transfer.decode`."""
         if not self.is_whole:
             return KeptViews(law(self.stored))
-        codes = torch.arange(LARGEST[self.stored.dtype] + 1, device=self.stored.device)
-        table = codes / LARGEST[self.stored.dtype] if self.table is None else self.table
-        made = law(table)
-        return self if made is table else replace(self, table=made)
+        levels = self.levels
+        made = law(levels)
+        return self if made is levels else replace(self, table=made)
+
+    def show_as(self, other: "KeptViews") -> bool:
+        """Whether both are the same values, kept alike."""
+        if self is other:
+            return True
+        both = [(self.stored, other.stored), (self.table, other.table)]
+        return all(a is b or (a is not None and b is not None and _are_same(a, b)) for a, b in both)
 
     def cut(self, channels: slice, rows: slice) -> "KeptViews":
         """Return a part of every view, which shares its memory with the whole."""
@@ -84,3 +99,7 @@ class KeptViews:
             return stored.to(torch.float32).div_(LARGEST[stored.dtype])
         # The quickest way to look up that every device has.
         return self.table.index_select(0, stored.flatten().int()).view(stored.shape)
+
+
+def _are_same(one: Tensor, other: Tensor) -> bool:
+    return one.dtype == other.dtype and one.device == other.device and torch.equal(one, other)

@@ -23,6 +23,7 @@ from layerfield.display import Display
 from layerfield.display_constants import DisplayConstants, constants_of
 from layerfield.gram import Gram
 from layerfield.kept_views import KeptViews
+from layerfield.kernels.codes import mean_of
 from layerfield.kernels.compiled import serve
 from layerfield.kernels.gpu.serving import on_gpu
 from layerfield.kernels.light_paths import LightPaths
@@ -217,8 +218,9 @@ class Problem:
 
         Subframes differ by random factors, 1 - apart to 1 + apart.
         """
-        mean = self.views.then(self.link.to_sum).mean() / self.layer_count
-        shape = self.back_projected.shape
+        mean = _mean_of(self.views.then(self.link.to_sum)) / self.layer_count
+        *batch, _, layers, channels, height, width = self.layer_shape
+        shape = (*batch, 1, layers, channels, height, width)
         start = self.link.from_sum(mean)[(..., *[None] * 5)].expand(shape)
         return self.in_subframes(start.clamp(*self.bounds).clone(), apart)
 
@@ -236,6 +238,12 @@ class Problem:
         shape = (self.subframes, *layers.shape[-4:])
         factors = 1 + apart * (2 * torch.rand(shape, generator=generator).to(layers) - 1)
         return (layers * factors).clamp(*self.bounds)
+
+
+def _mean_of(views: KeptViews) -> Float[Tensor, "*batch"]:
+    if views.is_whole and serve(views.levels):
+        return mean_of(views.stored, views.levels).to(views.levels)
+    return views.mean()
 
 
 State = Any  # each solver's own value, a tensor or a small dataclass
@@ -258,6 +266,10 @@ class Solver(Protocol):
     ) -> Float[Tensor, "*batch subframe layer c ly lx"]:
         """Return the layers of a state, within the bounds of the problem."""
         ...
+
+
+class OutlivesViews:
+    """What states are that go on with other views: they hold no slope or error of these."""
 
 
 @runtime_checkable
@@ -321,9 +333,11 @@ def solve(
         problem: what to solve.
         solver: how.
         iterations: the most steps to take; 0 returns the start.
-        init: layers, or a solution whose state is taken up if this solver made it for a problem
-            posed alike; otherwise its layers are.
-        tolerance: stop when no layer pixel changes by more than this in a step; 0: never.
+        init: layers, or a solution, whose state is taken up if such a solver made it for a problem
+            posed alike, of the same views or, see `OutlivesViews`, of others; if not, its layers
+            are. Layers are clamped.
+        tolerance: stop when no layer pixel changes by more than this in a step; 0: never. That is
+            found outside the clock.
         time_limit: start no step after this many seconds.
         callback: called with the iteration and the state after every step.
         history: record the mean square error of every iteration, outside the clock.
@@ -346,27 +360,32 @@ def solve(
     with nullcontext() if watched else clock:
         with torch.no_grad(), clock:
             state = solver.init(problem, _start(problem, solver, init))
+            before = solver.layers(problem, state).clone() if tolerance > 0 else None
         while done < iterations:
             if clock.seconds > time_limit:
                 status = f"stopped at the time limit of {time_limit:g} s"
                 break
             count = 1 if several is None else min(_AT_ONCE, iterations - done)
             with torch.no_grad(), clock:
-                before = solver.layers(problem, state).clone() if tolerance > 0 else None
                 if several is None:
                     state = solver.step(problem, state)
                 else:
                     state = several.steps(problem, state, count)
                 done += count
-                change = _change(before, problem, solver, state)
             if history:
                 error = problem.mean_square_error(solver.layers(problem, state))
                 records.append(Progress(done, clock.seconds, error))
             if callback is not None:
                 callback(done, state)
-            if change <= tolerance:
-                status = f"converged: no pixel changed by more than {tolerance:g}, iteration {done}"
-                break
+            if before is not None:
+                with torch.no_grad():
+                    after = solver.layers(problem, state).clone()
+                change, before = (after - before).abs().max().item(), after
+                if change <= tolerance:
+                    status = (
+                        f"converged: no pixel changed by more than {tolerance:g}, iteration {done}"
+                    )
+                    break
         with clock:
             layers = solver.layers(problem, state)
     return Solution(
@@ -376,22 +395,22 @@ def solve(
 
 def _start(problem: Problem, solver: Solver, init: Solution | Tensor | None) -> State | Tensor:
     if isinstance(init, Solution) and type(init.solver) is type(solver):
-        # A state holds what depends on the display: it goes on with other views, and nothing else.
         known = init.problem
-        if known is None or known.is_posed_as(problem):
+        if known is None or _goes_on(init.state, known, problem):
             return init.state
     layers = init.layers if isinstance(init, Solution) else init
-    expected = problem.layer_shape
-    if layers is not None and layers.shape[-5:] != expected[-5:]:
+    if layers is None:
+        return None
+    if tuple(layers.shape) != problem.layer_shape:
         raise ValueError(
             f"the layers to start from have shape {tuple(layers.shape)}, expected "
-            f"{expected} [subframe, layer, channel, y, x]"
+            f"{problem.layer_shape} [subframe, layer, channel, y, x]"
         )
-    return layers
+    return layers.detach().to(problem.views.like).clamp(*problem.bounds)
 
 
-def _change(before: Tensor | None, problem: Problem, solver: Solver, state: State) -> float:
-    """Return by how much layers changed at the most; infinity if that is not asked for."""
-    if before is None:
-        return math.inf
-    return (solver.layers(problem, state) - before).abs().max().item()
+def _goes_on(state: State, known: Problem, problem: Problem) -> bool:
+    """Whether a state of one problem serves another."""
+    if not known.is_posed_as(problem) or known.layer_shape != problem.layer_shape:
+        return False
+    return isinstance(state, OutlivesViews) or known.views.show_as(problem.views)

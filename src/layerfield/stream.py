@@ -54,14 +54,14 @@ class _Frame:
 
     Args:
         picture: what the middle of the viewers sees.
-        even: its balanced start.
+        even: its balanced start; None where frames start themselves.
         solution: of it.
         carried: the layers that were carried to it from the one before, see `WarmAdmm`, or those of
             its solution.
     """
 
     picture: Float[Tensor, "ly lx"]
-    even: Float[Tensor, "1 layer c ly lx"]
+    even: Float[Tensor, "1 layer c ly lx"] | None
     solution: Solution
     carried: Float[Tensor, "subframe layer c ly lx"]
 
@@ -153,13 +153,14 @@ def _next_frame(
     lives_on = moves and not _solves_rows(method, problem)
     made, count = method, max(method.count(None), _FIRST if lives_on else 0)
     with torch.no_grad(), clock:
-        picture, even = seen_from_the_middle(problem), _summed(problem).even_start()
+        picture = seen_from_the_middle(problem)
+        even = _summed(problem).even_start() if moves else None
         if before is not None:
             motion = block_motion(picture, before.picture)
             details["unexplained"] = _unexplained(picture, before.picture, motion)
             if details["unexplained"] <= _CUT:
                 count = options.iterations
-                if moves:
+                if even is not None:
                     made = _warm(method, problem, count)
                     solver = made.make(display.link)
                     start, carried = _started(before, problem, even, motion, solver)
@@ -231,6 +232,7 @@ def _started(
     And the layers that were carried to it.
     """
     state, solution = before.solution.state, before.solution
+    assert before.even is not None  # frames do not start themselves
     again = _momentum(solver, problem.layer_count)
     if type(state) in (LearnedState, AdmmState):  # that of tiles is on a torus of its own
         left = Left(state.shadow, before.even, before.carried)

@@ -50,7 +50,7 @@ class Blend:
         """Return the sum, added to what is given, in place."""
         if not self.serves(onto):
             return self._in_pytorch(onto)
-        result = torch.empty(self.shadow.shape) if onto is None else onto
+        result = torch.empty(self.shadow.shape, dtype=torch.float32) if onto is None else onto
         made = planes_of(result)
         given = (made, self.sum(), onto is None)
         _blend.in_spans(*given, count=len(made) * made.shape[1], numbers=made.size)

@@ -34,7 +34,7 @@ def block_costs(
         reach: pixels from the first guess, along x and y; motions are in the order of rows.
     """
     rows, columns = centre.shape[-2:]
-    result = torch.empty((2 * reach + 1) ** 2, rows, columns)
+    result = torch.empty((2 * reach + 1) ** 2, rows, columns, dtype=torch.float32)
     pictures = (each.detach().contiguous().numpy() for each in (new, old))
     given = result.numpy(), *pictures, centre.contiguous().numpy(), block, reach
     _compare.in_spans(*given, count=rows, numbers=len(result) * new.numel())
@@ -65,7 +65,7 @@ def neighbour_costs(
     if old.shape != new.shape or motion.shape != (2, -(-new.shape[0] // BLOCK), columns):
         found = f"an old one of {tuple(old.shape)} and motions {tuple(motion.shape)}"
         raise ValueError(f"found {found}, expected both to fit a picture of {tuple(new.shape)}")
-    result = torch.empty(len(steps), rows, columns)
+    result = torch.empty(len(steps), rows, columns, dtype=torch.float32)
     pictures = (each.detach().contiguous().numpy() for each in (new, old))
     given = result.numpy(), *pictures, motion.contiguous().numpy(), np.array(steps)
     _compare_around.in_spans(*given, count=rows, numbers=4 * len(steps) * new.numel())

@@ -34,7 +34,8 @@ def code_sums(
         unit: what code 1 stands for.
     """
     *batch, _, channels, _, _ = codes.shape
-    result = torch.empty(*batch, offsets.shape[1], channels, *layer_size)
+    shape = (*batch, offsets.shape[1], channels, *layer_size)
+    result = torch.empty(shape, dtype=torch.float32)
     seen = codes.contiguous().view(-1, *codes.shape[-4:]).numpy()
     made, held = result.view(-1, *result.shape[-4:]).numpy(), torch.zeros(1, dtype=dtype).numpy()
 

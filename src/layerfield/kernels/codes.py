@@ -1,8 +1,8 @@
-"""Layers rounded to the codes of a panel, and what codes of views stand for, in one pass."""
+"""Layers rounded to the codes of a panel; what codes of views stand for, and the mean of that."""
 
 import numpy as np
 import torch
-from jaxtyping import Float, UInt
+from jaxtyping import Float, Float64, UInt
 from torch import Tensor
 
 from layerfield.kernels.compiled import compiled
@@ -39,11 +39,36 @@ def looked_up(
     return found
 
 
+def mean_of(
+    codes: UInt[Tensor, "*batch view c y x"], table: Float[Tensor, " code"]
+) -> Float64[Tensor, "*batch"]:
+    """Return the mean of what codes stand for, on a processor: rows are summed in single precision.
+
+    Args:
+        codes: of views.
+        table: what each stands for, in single precision.
+    """
+    sums = torch.empty(codes.shape[:-1], dtype=torch.float64)
+    rows, made = codes.contiguous().view(-1, codes.shape[-1]).numpy(), sums.view(-1).numpy()
+    _sum_rows.in_spans(made, rows, table.numpy(), count=len(rows), numbers=rows.size)
+    return sums.mean(dim=(-3, -2, -1)) / codes.shape[-1]
+
+
 @compiled
 def look_up(made, codes, table):
     """Write what the codes of a row stand for."""
     for x in range(len(made)):
         made[x] = table[np.int64(codes[x])]
+
+
+@compiled
+def _sum_rows(made, codes, table, begin, end):
+    """Write the sum of what the codes of each row stand for."""
+    for n in range(begin, end):
+        row, total = codes[n], np.float32(0)
+        for x in range(len(row)):
+            total += table[np.int64(row[x])]
+        made[n] = total
 
 
 @compiled

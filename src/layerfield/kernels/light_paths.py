@@ -209,7 +209,7 @@ class LightPaths:
     @property
     def arrays(self) -> _Views:
         """The views for compiled loops."""
-        table = torch.empty(0) if self.views.table is None else self.views.table.contiguous()
+        table = self.views.like if self.views.table is None else self.views.table.contiguous()
         weights = np.asarray(self.weights, dtype=np.float32)
         return _Views(_planes(self.views.stored.contiguous()), table.numpy(), weights)
 

@@ -56,7 +56,7 @@ def moved_planes(
     """
     height, width = motion.shape[-2:]
     frame = (values.shape[-1] - width) // 2
-    made = torch.empty(*values.shape[:-2], height, width)
+    made = torch.empty((*values.shape[:-2], height, width), dtype=torch.float32)
     given = planes_of(made), planes_of(values.detach().contiguous()), motion.contiguous().numpy()
     _follow.in_spans(*given, frame, count=height, numbers=made.numel())
     return made
@@ -99,7 +99,7 @@ def moved_parts(
     if len(alike) > 1 or motion.shape[1:] != (height, width) or small:
         found = f"{sorted(alike)}, motion {tuple(motion.shape)} and a torus {size}"
         raise ValueError(f"found planes of {found}, expected all to fit {tuple(even.shape)}")
-    made, left = torch.empty(*batch, *size), torch.empty(even.shape)
+    made, left = (torch.empty(each, dtype=torch.float32) for each in ((*batch, *size), even.shape))
     planes = (planes_of(each.detach().contiguous()) for each in (state, even_before, carried))
     factors = (np.float32(each) for each in (again, *bounds))
     before = Before._make((*planes, *factors))

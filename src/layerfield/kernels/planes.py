@@ -22,7 +22,7 @@ def transformed(
         *batch, width = planes.shadow.shape
         transform = plane_transform((*batch, width // 2), by_row, back=False)
         if transform is not None:
-            result = torch.empty(planes.shadow.shape)
+            result = torch.empty(planes.shadow.shape, dtype=torch.float32)
             made, known = planes_of(result), planes.sum()
             forth.in_spans(made, known, call_of(transform), count=len(made), numbers=made.size)
             return _pairs(result)

@@ -87,7 +87,8 @@ def swept(
     number = len(paths.projection.shifts[0])
     for each in (layers, last):
         paths.expect(each, number)
-    made, planes = torch.empty(layers.shape), [each.contiguous() for each in (layers, last)]
+    made = torch.empty(layers.shape, dtype=torch.float32)
+    planes = [each.contiguous() for each in (layers, last)]
     arrays = _Arrays(
         *(each.detach().view(-1, *layers.shape[-4:]).numpy() for each in (made, *planes))
     )

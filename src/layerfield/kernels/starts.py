@@ -82,7 +82,7 @@ def _torus_of(seen: Tensor, size: tuple[int, int]) -> Tensor:
     *batch, height, width = seen.shape
     if size[0] < height or size[1] < width:
         raise ValueError(f"found a torus {size}, expected no smaller one than {(height, width)}")
-    return torch.empty(*batch, *size)
+    return torch.empty((*batch, *size), dtype=torch.float32)
 
 
 @compiled

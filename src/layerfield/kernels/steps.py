@@ -171,7 +171,7 @@ def steps_in_one_call(
     rows = np.array(constants, np.float32)
     if before is None:  # nor has the second step, of what is behind a balanced start
         rows[: 2 if shadow is None else 1, -1] = 0
-    made = [torch.empty(shape) for _ in range(min(count, _AT_ONCE))]
+    made = [torch.empty(shape, dtype=torch.float32) for _ in range(min(count, _AT_ONCE))]
     own = tuple(made[n % len(made)].view(by).numpy() for n in range(_AT_ONCE))
     seen = own[0] if shadow is None else shadow.contiguous().view(by).numpy()
     ago = seen if before is None else before.contiguous().view(by).numpy()

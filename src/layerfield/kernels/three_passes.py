@@ -113,7 +113,8 @@ def solved_in_three_passes(
         return None
     groups = math.ceil((width // 2 + 1) / LANES)
     items, tiles = math.prod(batch), math.ceil(height / LANES)
-    work = torch.empty(items, number, channels, groups, (tiles + _APART) * LANES * _GROUP).numpy()
+    room = (items, number, channels, groups, (tiles + _APART) * LANES * _GROUP)
+    work = torch.empty(room, dtype=torch.float32).numpy()
     if not _is_aligned(work):
         return None
     for back in (False, True):
@@ -128,7 +129,7 @@ def solved_in_three_passes(
     each = (0,) * number  # how many there are is known when loops are compiled
     solved = work, symbol, given, plan, low, each
     _columns_solved.in_spans(*solved, count=count_solved, numbers=numbers)
-    result = torch.empty(planes.shadow.shape)
+    result = torch.empty(planes.shadow.shape, dtype=torch.float32)
     made, rest = planes_of(result), NOTHING if added is None else added.sum()
     _rows_back.in_spans(made, flat, rest, plan, _is_aligned(made), count=count, numbers=numbers)
     return result

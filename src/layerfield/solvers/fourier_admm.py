@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.solve import Problem
+from layerfield.solve import OutlivesViews, Problem
 from layerfield.solvers.admm_steps import (
     after_steps,
     plain_constants,
@@ -16,7 +16,7 @@ from layerfield.solvers.admm_steps import (
 
 
 @dataclass(frozen=True, eq=False)
-class AdmmState:
+class AdmmState(OutlivesViews):
     """Iterate and dual in one: z = clamp(shadow), u = shadow - z, on the torus.
 
     Args:

@@ -12,7 +12,7 @@ from layerfield.kernels.blends import Blend, Shares
 from layerfield.kernels.small_steps import Coarse, steps_at_once
 from layerfield.kernels.starts import shared_rim
 from layerfield.kernels.steps import BalancedStart, steps_in_one_call
-from layerfield.solve import Problem
+from layerfield.solve import OutlivesViews, Problem
 from layerfield.solvers.admm_steps import (
     Constants,
     after_steps,
@@ -32,7 +32,7 @@ _LEAST = 8  # pixels of a coarse torus; smaller pictures go without
 
 
 @dataclass(frozen=True, eq=False)
-class LearnedState:
+class LearnedState(OutlivesViews):
     """Iterate and dual, s = z + u, those of one step ago, and the learned steps made.
 
     `after` is the state of what goes on behind the last of them; then it alone counts.
@@ -45,7 +45,7 @@ class LearnedState:
 
 
 @dataclass(frozen=True, eq=False)
-class Unbegun:
+class Unbegun(OutlivesViews):
     """No step was made: layers are the balanced start, of which the first step needs a rim."""
 
 

@@ -177,6 +177,8 @@ def _normal_equations(
     for alone, piece in problem.pieces():
         seen = piece.of_layers(layers)
         for i, weight in enumerate(problem.weights):
+            if weight == 0:
+                continue
             pixels = projection.windows(seen, i)
             others = link.derivative(pixels, index).unbind(dim=-4)
             residual = alone.light(i) - link.compose(pixels).mean(dim=-4)

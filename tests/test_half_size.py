@@ -1,6 +1,7 @@
 """Problems at half size: which displays have them, what they ask for, and the way back."""
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -8,10 +9,10 @@ import torch
 from layerfield import Display, Problem, procedural_light_field, solve, synthesize
 from layerfield.display_spec import parse_spec
 from layerfield.fast import solver_for
-from layerfield.half_size import at_half_size, at_whole_size, half_of
+from layerfield.half_size import HalfState, at_half_size, at_whole_size, half_of
 from layerfield.kept_views import KeptViews
 from layerfield.kernels.compiled import plain
-from layerfield.solvers.learned_sweeps import HalfState, LearnedSweeps, SweptState
+from layerfield.solvers.learned_sweeps import LearnedSweeps
 from layerfield.synthesizer import pose
 
 SIZES = [(64, 96), (65, 97), (50, 33)]
@@ -24,6 +25,11 @@ def display(text: str) -> Display:
 FIVE = display("views = [5, 5]\ndisparity = [1, 0, -1]")
 
 
+def posed(shown: Display, size: tuple[int, int], **others: Any) -> Problem:
+    views = torch.zeros(shown.view_count, 1, *size, dtype=torch.uint8)
+    return Problem.of(shown, views, **others)
+
+
 def noise(*shape: int) -> torch.Tensor:
     return torch.rand(*shape, generator=torch.Generator().manual_seed(1))
 
@@ -31,23 +37,35 @@ def noise(*shape: int) -> torch.Tensor:
 @pytest.mark.parametrize(
     ("text", "views", "before"),
     [
-        ("views = [5, 5]\ndisparity = [1, 0, -1]", 9, (0, 0)),
-        ("views = [5, 5]\ndisparity = [2, 1]", 9, (0, 0)),
-        ("views = [7, 3]\ndisparity = [2, 0, -2]", 21, (0, 0)),
-        ("views = [7, 7]\ndisparity = [1, 0]", 9, (1, 1)),
-        ("views = [5, 1]\ndisparity = [1, 0, -1]", 3, (0, 0)),
-        ("views = [3, 3]\ndisparity = [1, 0, -1]", None, None),
+        ("views = [5, 5]\ndisparity = [1, 0, -1]", 9, [(0, 0)] * 3),
+        ("views = [5, 5]\ndisparity = [2, 1]", 9, [(0, 0)] * 2),
+        ("views = [7, 3]\ndisparity = [2, 0, -2]", 21, [(0, 0)] * 3),
+        ("views = [7, 7]\ndisparity = [1, 0]", 16, [(0, 0), (1, 1)]),
+        ("views = [5, 1]\ndisparity = [1, 0, -1]", 3, [(0, 0)] * 3),
+        ("views = [3, 3]\ndisparity = [1, 0, -1]", 4, [(0, 0), (1, 1), (0, 0)]),
+        ("views = [4, 4]\ndisparity = [2, 0]", 16, [(0, 0), (1, 1)]),
         ("views = [4, 4]\ndisparity = [1, -1]", None, None),
         ("views = [5, 5]\ndisparity = [1.5, 0]", None, None),
+        ("views = [2, 2]\ndisparity = [1, 0]", None, None),
     ],
 )
-def test_views_are_those_whose_paths_move_by_even_numbers(text, views, before):
-    half = half_of(display(text).projection, (64, 64))
+def test_views_are_those_whose_paths_differ_by_even_numbers(text, views, before):
+    half = half_of(posed(display(text), (64, 64)))
     assert (None if half is None else len(half.views)) == views
     if half is not None:
-        assert half.before == before
+        assert list(half.before) == before
         assert half.projection.is_whole
-    assert half_of(display(text).projection, (31, 64)) is None
+    assert half_of(posed(display(text), (31, 64))) is None
+
+
+def test_views_that_do_not_count_are_not_asked_for():
+    """Of 5x5 views without those whose paths are even, without all but 3x3, and without a pair."""
+    odd = [float(y % 2 or x % 2) for y in range(5) for x in range(5)]
+    inner = [float(max(abs(y - 2), abs(x - 2)) < 2) for y in range(5) for x in range(5)]
+    column = [float(x == 2) for _ in range(5) for x in range(5)]
+    asked = [half_of(posed(FIVE, (64, 64), weights=each)) for each in (odd, inner, column)]
+    found = [None if half is None else half.views for half in asked]
+    assert found == [(1, 3, 11, 13, 21, 23), (6, 8, 16, 18), (2, 12, 22)]
 
 
 @pytest.mark.parametrize("kind", ["codes", "long codes", "light", "values"])
@@ -61,7 +79,7 @@ def test_means_of_pixels_and_the_way_back_are_what_pytorch_makes(kind, size):
         "values": KeptViews(views),
     }[kind]
     problem = Problem.of(FIVE, kept)
-    half = half_of(problem.projection, problem.view_size)
+    half = half_of(problem)
     assert half is not None
     small = at_half_size(problem, half)
     change = noise(*small.layer_shape) - 0.5
@@ -74,20 +92,41 @@ def test_means_of_pixels_and_the_way_back_are_what_pytorch_makes(kind, size):
     assert found.shape == problem.layer_shape
 
 
-def test_layers_of_half_size_lie_where_those_of_whole_size_do():
-    """A ramp shows the same at both sizes, wherever layers begin."""
-    for shown in (FIVE, display("views = [7, 7]\ndisparity = [1, 0]")):
-        height, width = 40, 56
-        ramp = torch.linspace(0.2, 0.8, width).expand(shown.view_count, 1, height, width)
-        problem = Problem.of(shown, ramp.contiguous())
-        half = half_of(problem.projection, problem.view_size)
-        assert half is not None
-        small = at_half_size(problem, half)
-        change = torch.arange(small.layer_shape[-1]).expand(small.layer_shape).float().contiguous()
-        made = at_whole_size(problem, half, change) - problem.even_start()
-        inside = made[..., 10, 8:-8]
-        places = (torch.arange(made.shape[-1]) + half.before[1] + 0.5) / 2 - 0.5
-        torch.testing.assert_close(inside, places[8:-8].expand_as(inside), atol=1e-4, rtol=0)
+@pytest.mark.parametrize(
+    "text",
+    [
+        "views = [5, 5]\ndisparity = [1, 0, -1]",
+        "views = [7, 7]\ndisparity = [1, 0]",
+        "views = [3, 3]\ndisparity = [1, 0, -1]",
+        "views = [4, 4]\ndisparity = [2, 0, -2]",
+    ],
+)
+@pytest.mark.parametrize("size", [(40, 56), (41, 57)])
+def test_layers_of_half_size_lie_where_those_of_whole_size_do(text, size):
+    """Ramps, of each layer another, show the same at both sizes, wherever layers begin."""
+    shown = display(text)
+    number, (my, mx) = shown.layer_count, shown.projection.margin
+
+    def ramps(y: torch.Tensor, x: torch.Tensor, k: int) -> torch.Tensor:
+        return (0.2 + 0.002 * (k + 1) * (y[:, None] - my) + 0.001 * (2 - k) * (x - mx)) / number
+
+    blank = posed(shown, size)
+    rows, columns = (torch.arange(n).float() for n in blank.layer_shape[-2:])
+    layers = torch.stack([ramps(rows, columns, k).unsqueeze(0) for k in range(number)])[None]
+    views = torch.stack([blank.view(layers, i) for i in range(shown.view_count)])
+    problem = Problem.of(shown, views)
+    half = half_of(problem)
+    assert half is not None
+    small = at_half_size(problem, half)
+    rows, columns = (torch.arange(n).float() for n in small.layer_shape[-2:])
+    places = [(2 * rows + 0.5 - top, 2 * columns + 0.5 - left) for top, left in half.before]
+    known = torch.stack([ramps(y, x, k).unsqueeze(0) for k, (y, x) in enumerate(places)])[None]
+    for i, view in enumerate(small.views):
+        inside = (small.view(known, i) - view)[..., 1:-1, 1:-1]
+        torch.testing.assert_close(inside, torch.zeros_like(inside), atol=1e-6, rtol=0)
+    made = at_whole_size(problem, half, known) - problem.even_start()
+    inside = (made - layers)[..., 3:-3, 3:-3]
+    torch.testing.assert_close(inside, torch.zeros_like(inside), atol=1e-6, rtol=0)
 
 
 @pytest.mark.parametrize("views", [5, 9])
@@ -114,12 +153,11 @@ def test_states_at_half_size_serve_other_views():
     begun = solver.init(problem, None)
     assert isinstance(begun, HalfState)
     torch.testing.assert_close(solver.layers(problem, begun), problem.even_start().clamp(0, 1))
-    state = solver.steps(problem, begun, 2)
     other = pose(replace(field, stored=0.5 * field.stored), FIVE)
-    start = solver.init(other, state)
-    assert isinstance(start, SweptState)
+    known = solve(problem, solver, iterations=2)
+    assert isinstance(known.state, HalfState)
     cold = solver.layers(other, solver.steps(other, solver.init(other, None), 2))
-    gone_on = solver.layers(other, solver.steps(other, start, 3))
+    gone_on = solve(other, solver, iterations=3, init=known).layers
     best = solve(other, solver, iterations=40).layers
     errors = [other.mean_square_error(each) for each in (best, gone_on, cold)]
     assert errors[1] < 1.1 * errors[0]

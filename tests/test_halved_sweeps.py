@@ -9,11 +9,11 @@ import torch
 from layerfield import Display, Problem, procedural_light_field, solve
 from layerfield.display_spec import parse_spec
 from layerfield.fast import shipped_steps, solver_for
-from layerfield.half_size import Half, at_half_size, at_whole_size_of_products, half_of
+from layerfield.half_size import Half, HalfState, at_half_size, at_whole_size_of_products, half_of
 from layerfield.kept_views import KeptViews
 from layerfield.kernels.compiled import plain
 from layerfield.solvers.fourier_start import FourierStart
-from layerfield.solvers.halved_sweeps import HalvedState, HalvedSweeps, _sets_of
+from layerfield.solvers.halved_sweeps import HalvedSweeps, _sets_of
 from layerfield.solvers.newton_admm import FourierNewton
 from layerfield.solvers.sweeps import SweepsState
 from layerfield.synthesizer import pose
@@ -34,7 +34,7 @@ def posed(text: str = FIVE, seed: int = 5, size: tuple[int, int] = (96, 120)) ->
 
 
 def halved(problem: Problem) -> tuple[Half, Problem]:
-    half = half_of(problem.projection, problem.view_size)
+    half = half_of(problem)
     assert half is not None
     return half, at_half_size(problem, half)
 
@@ -138,7 +138,7 @@ def test_given_layers_are_swept_on():
         second, solve(problem, solver, iterations=11).layers, atol=1e-6, rtol=0
     )
     early = solve(problem, solver, iterations=2)
-    assert isinstance(early.state, HalvedState)
+    assert isinstance(early.state, HalfState)
     other = replace(problem, views=KeptViews(problem.views.all() * 0.9))
     gone_on = solve(other, solver, iterations=1, init=early).layers
     assert other.mean_square_error(gone_on) < other.mean_square_error(early.layers)

@@ -224,14 +224,14 @@ def solver_for(problem: Problem, count: int) -> Solver:
         return solver
     if not takes_sweeps(problem):
         return solver.start if problem.subframes > 1 else solver
-    if problem.device.type == "cpu" and half_of(problem.projection, problem.view_size):
+    if problem.device.type == "cpu" and half_of(problem):
         return HalvedSweeps(steps_for(problem).start(1))
     return replace(solver.start, refine=Sweeps(sweeps=_SWEEPS))
 
 
 def _with_sweeps(problem: Problem, count: int) -> LearnedSweeps:
     """Return what sweeps in words; at half size there are two steps however few iterations."""
-    is_halved = half_of(problem.projection, problem.view_size) is not None
+    is_halved = half_of(problem) is not None
     steps = _BEFORE_WORDS if is_halved else min(count, _BEFORE_WORDS)
     solver = LearnedSweeps(steps_for(problem).at_most(steps).direct)
     return solver if problem.layer_count <= _FEW else replace(solver, early=3, inner=2, outer=4)

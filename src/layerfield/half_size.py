@@ -1,12 +1,14 @@
 """A problem at half its size: what is far apart is near there, and a step costs a quarter.
 
-Not all views are asked for. Those whose light paths move by even numbers of pixels have paths
-through whole pixels at half size, too, where sweeps are quick; the others would meet layers between
-pixels, and what they say of layers that look alike would be blurred.
+Not all views are asked for. Those whose light paths differ by even numbers of pixels on every layer
+have paths through whole pixels at half size, too, where sweeps are quick; the others would meet
+layers between pixels, and what they say of layers that look alike would be blurred. Where all those
+paths are odd on a layer, its large pixels begin a pixel later.
 """
 
+from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -19,7 +21,7 @@ from layerfield.kept_views import LARGEST, KeptViews
 from layerfield.kernels.compiled import serve
 from layerfield.kernels.halves import halved_views, refined_start
 from layerfield.projection import Projection
-from layerfield.solve import Problem
+from layerfield.solve import OutlivesViews, Problem, State
 
 _LEAST = 32  # pixels of a view along a side; smaller ones have little of large pixels
 _LEVELS = 4096  # of light; those of bright pixels differ by less than a code
@@ -32,37 +34,68 @@ class Half(NamedTuple):
     Args:
         views: those that are asked for.
         projection: A, from layers to these.
-        before: pixels (y, x) of whole size by which its layers begin before those of whole size.
+        before: pixels (y, x) of whole size by which each layer begins before that of whole size.
     """
 
-    views: Sequence[int]
+    views: tuple[int, ...]
     projection: Projection
-    before: tuple[int, int]
+    before: tuple[tuple[int, int], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class HalfState(OutlivesViews):
+    """The problem at half size, what is known of it, and how many iterations were made of whole."""
+
+    half: Half
+    problem: Problem
+    state: State
+    count: int = 0
+
+
+def half_of(problem: Problem, least: int = 2) -> Half | None:
+    """Return the display of a problem at half size, for as many views as can be asked for.
+
+    None where views are small, or too few have light paths that differ by even numbers of pixels.
+    Views of weight 0 are none.
+
+    Args:
+        problem: at its whole size.
+        least: views along each direction, but where there is a single one.
+    """
+    return _half_of(problem.projection, problem.weights, problem.view_size, least)
 
 
 @lru_cache
-def half_of(projection: Projection, view_size: tuple[int, int]) -> Half | None:
-    """Return a display at half size.
-
-    None where views are small, or too few have light paths that move by even numbers of pixels:
-    two along each direction at the least, but where there is a single one.
-    """
-    if type(projection) is not Projection or min(view_size) < _LEAST:
+def _half_of(
+    projection: Projection, weights: tuple[float, ...], view_size: tuple[int, int], least: int
+) -> Half | None:
+    if type(projection) is not Projection or not projection.is_whole or min(view_size) < _LEAST:
         return None
-    chosen = [n for n, paths in enumerate(projection.shifts) if _are_even(paths)]
+    seen = {n: paths for n, paths in enumerate(projection.shifts) if weights[n] > 0}
+    alike: dict[tuple[tuple[int, int], ...], list[int]] = defaultdict(list)
+    for n, paths in seen.items():
+        alike[tuple((int(y) % 2, int(x) % 2) for y, x in paths)].append(n)
+
+    def counts(odd: tuple[tuple[int, int], ...]) -> tuple[float, int]:
+        return sum(weights[n] for n in alike[odd]), -sum(map(sum, odd))  # of as many, even ones
+
+    odd = max(alike, key=counts)
+    chosen = tuple(alike[odd])
     for direction in range(2):
-        every = {tuple(path[direction] for path in paths) for paths in projection.shifts}
-        found = {tuple(path[direction] for path in projection.shifts[n]) for n in chosen}
-        if len(found) < min(2, len(every)):
+        every, found = (
+            {tuple(path[direction] for path in seen[n]) for n in some} for some in (seen, chosen)
+        )
+        if len(found) < (least if len(every) > 1 else 1):
             return None
-    shifts = tuple(tuple((x / 2, y / 2) for x, y in projection.shifts[n]) for n in chosen)
+    first_y, first_x = zip(*odd, strict=True)
     my, mx = projection.margin
-    margin = -(-my // 2), -(-mx // 2)
-    return Half(chosen, Projection(shifts, margin), (2 * margin[0] - my, 2 * margin[1] - mx))
-
-
-def _are_even(paths: Sequence[tuple[float, float]]) -> bool:
-    return all(shift % 2 == 0 for path in paths for shift in path)
+    margin = -(-(my + max(first_y)) // 2), -(-(mx + max(first_x)) // 2)
+    shifts = tuple(
+        tuple(((y - v) / 2, (x - u) / 2) for (y, x), (v, u) in zip(seen[n], odd, strict=True))
+        for n in chosen
+    )
+    before = tuple((2 * margin[0] - my - v, 2 * margin[1] - mx - u) for v, u in odd)
+    return Half(chosen, Projection(shifts, margin), before)
 
 
 def at_half_size(problem: Problem, half: Half) -> Problem:
@@ -120,16 +153,21 @@ def at_whole_size_of_products(
     return law[levels] * _twice(ratio, half.before, seen.shape)
 
 
-def _twice(change: Tensor, before: tuple[int, int], shape: Sequence[int]) -> Tensor:
+def _twice(change: Tensor, before: Sequence[tuple[int, int]], shape: Sequence[int]) -> Tensor:
     """Return what is between pixels of half size, as large as layers."""
-    planes, (height, width), (top, left) = change.flatten(0, -3)[None], shape[-2:], before
-    wide = interpolate(planes, scale_factor=2, mode="bilinear")[0]
-    return wide[:, top : top + height, left : left + width].reshape(shape)
+    height, width = shape[-2:]
+    wide = interpolate(change.flatten(0, -3)[None], scale_factor=2, mode="bilinear")[0]
+    layers = wide.view(*change.shape[:-2], *wide.shape[-2:]).unbind(dim=-4)
+    cut = [
+        layer[..., top : top + height, left : left + width]
+        for layer, (top, left) in zip(layers, before, strict=True)
+    ]
+    return torch.stack(cut, dim=-4)
 
 
 def _root_of_light(table: Tensor | None, number: int) -> Float[Tensor, " level"]:
     """Return the root of what codes stand for, evenly from the least to the largest."""
-    light = torch.linspace(0, 1, _LEVELS)
+    light = torch.linspace(0, 1, _LEVELS, dtype=torch.float32)
     if table is not None:
         line = table.float()[None, None].cpu()
         light = interpolate(line, size=_LEVELS, mode="linear", align_corners=True)[0, 0]

@@ -7,23 +7,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.half_size import Half, at_half_size, at_whole_size_of_products, half_of
+from layerfield.half_size import HalfState, at_half_size, at_whole_size_of_products, half_of
 from layerfield.projection import Projection
 from layerfield.solve import Problem
 from layerfield.solvers.fourier_start import FourierStart
 from layerfield.solvers.sweeps import Sweeps, SweepsState
 
 _SETS = 3  # of views
-
-
-@dataclass(frozen=True, eq=False)
-class HalvedState:
-    """The problem at half size, what is known of it, and how many iterations were made."""
-
-    half: Half
-    problem: Problem
-    state: SweepsState
-    count: int = 0
 
 
 @dataclass(frozen=True)
@@ -55,24 +45,24 @@ class HalvedSweeps:
     fine: Sweeps = field(default_factory=Sweeps)
 
     def init(
-        self, problem: Problem, start: HalvedState | SweepsState | Tensor | None
-    ) -> HalvedState | SweepsState:
-        if isinstance(start, HalvedState):
-            start = self._begun(problem, start) if start.count > 0 else None
+        self, problem: Problem, start: HalfState | SweepsState | Tensor | None
+    ) -> HalfState | SweepsState:
+        if isinstance(start, HalfState):
+            start = self._swept(problem, start) if start.count > 0 else None
         if start is not None:
             return self.fine.init(problem, start)
-        half = half_of(problem.projection, problem.view_size)
+        half = half_of(problem)
         if half is None:
             raise ValueError("found no views whose paths lead through whole pixels of half size")
         small = at_half_size(problem, half)
-        return HalvedState(half, small, self.start.init(small, None))
+        return HalfState(half, small, self.start.init(small, None))
 
-    def step(self, problem: Problem, state: HalvedState | SweepsState) -> HalvedState | SweepsState:
+    def step(self, problem: Problem, state: HalfState | SweepsState) -> HalfState | SweepsState:
         return self.steps(problem, state, 1)
 
     def steps(
-        self, problem: Problem, state: HalvedState | SweepsState, count: int
-    ) -> HalvedState | SweepsState:
+        self, problem: Problem, state: HalfState | SweepsState, count: int
+    ) -> HalfState | SweepsState:
         if isinstance(state, SweepsState):
             return replace(self.fine, sweeps=self.later * count).step(problem, state)
         early = min(count, self.early - state.count)
@@ -84,16 +74,16 @@ class HalvedSweeps:
         return self.steps(problem, self._swept(problem, known), count - early)
 
     def layers(
-        self, problem: Problem, state: HalvedState | SweepsState
+        self, problem: Problem, state: HalfState | SweepsState
     ) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         return (state if isinstance(state, SweepsState) else self._swept(problem, state)).layers
 
-    def _begun(self, problem: Problem, known: HalvedState) -> Tensor:
+    def _begun(self, problem: Problem, known: HalfState) -> Tensor:
         found = self.coarse.layers(known.problem, known.state)
         layers = at_whole_size_of_products(problem, known.half, found, known.problem)
         return layers.clamp(*problem.bounds)
 
-    def _swept(self, problem: Problem, known: HalvedState) -> SweepsState:
+    def _swept(self, problem: Problem, known: HalfState) -> SweepsState:
         """Return layers of whole size, after as many sweeps as there were iterations."""
         state = self.fine.init(problem, self._begun(problem, known))
         if known.count == 0:

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.half_size import Half, at_half_size, at_whole_size, half_of
+from layerfield.half_size import HalfState, at_half_size, at_whole_size, half_of
 from layerfield.kernels.compiled import is_plain
 from layerfield.kernels.word_sweeps import LayerWords, swept
 from layerfield.kernels.words import Words
@@ -17,6 +17,7 @@ from layerfield.solvers.learned_admm import LearnedAdmm, LearnedState, Unbegun
 from layerfield.solvers.sweeps import Sweeps, SweepsState, best_layer
 
 _ROUNDING = 10  # numbers of a word for each sweep: of more, what rounding leaves is seen
+_LEAST_AGAIN = 3  # views across at half the half: of two, layers move less alike with the picture
 _BRIGHTEST = 1 + 1e-5  # of a view; sums of floats are rounded
 
 
@@ -32,16 +33,6 @@ class SweptState:
     words: LayerWords | None = None
     ago: Float[Tensor, "*batch 1 layer c ly lx"] | None = None
     after: SweepsState | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class HalfState:
-    """The problem at half size, what is known of it, and how many iterations were made of whole."""
-
-    half: Half
-    problem: Problem
-    state: "LearnedSweepsState"
-    count: int = 0
 
 
 LearnedSweepsState = SweptState | HalfState | LearnedState | Unbegun
@@ -88,16 +79,19 @@ class LearnedSweeps:
         self, problem: Problem, start: LearnedSweepsState | Tensor | None
     ) -> LearnedSweepsState:
         if isinstance(start, HalfState):
-            start = self._begun(problem, start) if start.count > 0 else None
+            start = self.layers(problem, start) if start.count > 0 else None
         if isinstance(start, SweptState):
-            start = start.layers  # not how they moved, which may have been for other views
+            return start
         if isinstance(start, Tensor):
-            return SweptState(start.detach().to(problem.back_projected).contiguous())
-        half = half_of(problem.projection, problem.view_size)
+            return SweptState(start.contiguous())
+        return self._unbegun(problem) if start is None else self.direct.init(problem, start)
+
+    def _unbegun(self, problem: Problem, least: int = 2) -> HalfState | LearnedState | Unbegun:
+        half = half_of(problem, least)
         if half is None:
-            return self.direct.init(problem, start)
+            return self.direct.init(problem, None)
         small = at_half_size(problem, half)
-        return HalfState(half, small, self.init(small, None))
+        return HalfState(half, small, self._unbegun(small, _LEAST_AGAIN))
 
     def step(self, problem: Problem, state: LearnedSweepsState) -> LearnedSweepsState:
         return self.steps(problem, state, 1)

@@ -90,16 +90,26 @@ def test_a_few_steps_lead_to_the_optimum(field):
     [("[1, 5]", "[1, 0.3, -1]"), ("[1, 5]", "[1, -1]"), ("[1, 5]", "[3, 1.2, 0, -3]")],
 )
 def test_compiled_loops_do_what_pytorch_does(field, views, disparity):
-    """In the end rounding decides which pixels of a few rows stay at bounds, for the same error."""
-    problem = Problem.of(display(views, disparity), field.views, [1, 2, 0.5, 0, 3])
+    """In the end rounding decides which pixels of a few rows stay at bounds, for the same error.
+
+    Behind four steps PyTorch's own error is by 0.2 % another in double precision on some
+    processors, where compiled loops have that of double precision.
+    """
+    problem, exact = (
+        Problem.of(display(views, disparity), each, [1, 2, 0.5, 0, 3])
+        for each in (field.views, field.views.double())
+    )
     for count in (1, 4):
         made = solve(problem, RowNewton(), iterations=count)
         with plain():
             expected = solve(problem, RowNewton(), iterations=count)
         if count == 1:
             torch.testing.assert_close(made.layers, expected.layers, atol=2e-4, rtol=0)
-        errors = [problem.mean_square_error(each.layers) for each in (made, expected)]
-        assert errors[0] == pytest.approx(errors[1], rel=1e-3)
+        finest = solve(exact, RowNewton(), iterations=count)
+        error, *known = (
+            exact.mean_square_error(each.layers.double()) for each in (made, expected, finest)
+        )
+        assert min(abs(error / each - 1) for each in known) < 1e-3
 
 
 def test_a_row_whose_energy_grows_is_taken_back(field):

@@ -42,7 +42,7 @@ def noise(*shape: int) -> torch.Tensor:
         ("views = [7, 3]\ndisparity = [2, 0, -2]", 21, [(0, 0)] * 3),
         ("views = [7, 7]\ndisparity = [1, 0]", 16, [(0, 0), (1, 1)]),
         ("views = [5, 1]\ndisparity = [1, 0, -1]", 3, [(0, 0)] * 3),
-        ("views = [3, 3]\ndisparity = [1, 0, -1]", 4, [(0, 0), (1, 1), (0, 0)]),
+        ("views = [3, 3]\ndisparity = [1, 0, -1]", None, None),
         ("views = [4, 4]\ndisparity = [2, 0]", 16, [(0, 0), (1, 1)]),
         ("views = [4, 4]\ndisparity = [1, -1]", None, None),
         ("views = [5, 5]\ndisparity = [1.5, 0]", None, None),
@@ -59,13 +59,13 @@ def test_views_are_those_whose_paths_differ_by_even_numbers(text, views, before)
 
 
 def test_views_that_do_not_count_are_not_asked_for():
-    """Of 5x5 views without those whose paths are even, without all but 3x3, and without a pair."""
+    """Of 5x5 views without those whose paths are even, without all but 3x3, and of a column."""
     odd = [float(y % 2 or x % 2) for y in range(5) for x in range(5)]
     inner = [float(max(abs(y - 2), abs(x - 2)) < 2) for y in range(5) for x in range(5)]
     column = [float(x == 2) for _ in range(5) for x in range(5)]
     asked = [half_of(posed(FIVE, (64, 64), weights=each)) for each in (odd, inner, column)]
     found = [None if half is None else half.views for half in asked]
-    assert found == [(1, 3, 11, 13, 21, 23), (6, 8, 16, 18), (2, 12, 22)]
+    assert found == [None, None, (2, 12, 22)]
 
 
 @pytest.mark.parametrize("kind", ["codes", "long codes", "light", "values"])
@@ -97,7 +97,6 @@ def test_means_of_pixels_and_the_way_back_are_what_pytorch_makes(kind, size):
     [
         "views = [5, 5]\ndisparity = [1, 0, -1]",
         "views = [7, 7]\ndisparity = [1, 0]",
-        "views = [3, 3]\ndisparity = [1, 0, -1]",
         "views = [4, 4]\ndisparity = [2, 0, -2]",
     ],
 )

@@ -31,7 +31,7 @@ from layerfield.shipped import TRAINED
 from layerfield.solve import Problem, Solution, Solver
 from layerfield.solvers.admm_steps import Constants
 from layerfield.solvers.fourier_start import FourierStart
-from layerfield.solvers.halved_sweeps import HalvedSweeps, half_of_products
+from layerfield.solvers.halved_sweeps import HalvedSweeps
 from layerfield.solvers.learned_admm import LearnedAdmm
 from layerfield.solvers.learned_sweeps import LearnedSweeps, serves_words
 from layerfield.solvers.newton_admm import FourierNewton, NewtonAdmm
@@ -224,7 +224,7 @@ def solver_for(problem: Problem, count: int) -> Solver:
         return solver
     if not takes_sweeps(problem):
         return solver.start if problem.subframes > 1 else solver
-    if problem.device.type == "cpu" and half_of_products(problem):
+    if problem.device.type == "cpu" and half_of(problem):
         return HalvedSweeps(steps_for(problem).start(1))
     return replace(solver.start, refine=Sweeps(sweeps=_SWEEPS))
 

@@ -24,6 +24,7 @@ from layerfield.projection import Projection
 from layerfield.solve import OutlivesViews, Problem, State
 
 _LEAST = 32  # pixels of a view along a side; smaller ones have little of large pixels
+_ACROSS = 3  # views
 _LEVELS = 4096  # of light; those of bright pixels differ by less than a code
 _DARK = 1e-6  # light
 
@@ -52,22 +53,19 @@ class HalfState(OutlivesViews):
     count: int = 0
 
 
-def half_of(problem: Problem, least: int = 2) -> Half | None:
+def half_of(problem: Problem) -> Half | None:
     """Return the display of a problem at half size, for as many views as can be asked for.
 
-    None where views are small, or too few have light paths that differ by even numbers of pixels.
-    Views of weight 0 are none.
-
-    Args:
-        problem: at its whole size.
-        least: views along each direction, but where there is a single one.
+    None where views are small, or too few have light paths that differ by even numbers of pixels:
+    three along each direction at the least, but where there is a single one. Of two there is little
+    to learn. Views of weight 0 are none.
     """
-    return _half_of(problem.projection, problem.weights, problem.view_size, least)
+    return _half_of(problem.projection, problem.weights, problem.view_size)
 
 
 @lru_cache
 def _half_of(
-    projection: Projection, weights: tuple[float, ...], view_size: tuple[int, int], least: int
+    projection: Projection, weights: tuple[float, ...], view_size: tuple[int, int]
 ) -> Half | None:
     if type(projection) is not Projection or not projection.is_whole or min(view_size) < _LEAST:
         return None
@@ -85,7 +83,7 @@ def _half_of(
         every, found = (
             {tuple(path[direction] for path in seen[n]) for n in some} for some in (seen, chosen)
         )
-        if len(found) < (least if len(every) > 1 else 1):
+        if len(found) < (_ACROSS if len(every) > 1 else 1):
             return None
     first_y, first_x = zip(*odd, strict=True)
     my, mx = projection.margin

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.half_size import Half, HalfState, at_half_size, at_whole_size_of_products, half_of
+from layerfield.half_size import HalfState, at_half_size, at_whole_size_of_products, half_of
 from layerfield.projection import Projection
 from layerfield.solve import Problem
 from layerfield.solvers.fourier_start import FourierStart
@@ -51,7 +51,7 @@ class HalvedSweeps:
             start = self._swept(problem, start) if start.count > 0 else None
         if start is not None:
             return self.fine.init(problem, start)
-        half = half_of_products(problem)
+        half = half_of(problem)
         if half is None:
             raise ValueError("found no views whose paths lead through whole pixels of half size")
         small = at_half_size(problem, half)
@@ -94,15 +94,6 @@ class HalvedSweeps:
         # They count as one sweep: momentum begins with the second.
         begun = replace(state, count=torch.ones_like(state.count))
         return replace(self.fine, sweeps=known.count).step(problem, begun)
-
-
-def half_of_products(problem: Problem) -> Half | None:
-    """Return the display at half size, where it serves; see `half_of`.
-
-    Two views along a direction tell two layers apart, but not three: of 3x3 views those of half
-    size were no better than twice as many sweeps, and moved less alike with the picture.
-    """
-    return half_of(problem, least=2 if problem.layer_count <= 2 else 3)
 
 
 def _plain(state: SweepsState) -> SweepsState:

@@ -17,7 +17,6 @@ from layerfield.solvers.learned_admm import LearnedAdmm, LearnedState, Unbegun
 from layerfield.solvers.sweeps import Sweeps, SweepsState, best_layer
 
 _ROUNDING = 10  # numbers of a word for each sweep: of more, what rounding leaves is seen
-_LEAST_AGAIN = 3  # views across at half the half: of two, layers move less alike with the picture
 _BRIGHTEST = 1 + 1e-5  # of a view; sums of floats are rounded
 
 
@@ -84,14 +83,11 @@ class LearnedSweeps:
             return start
         if isinstance(start, Tensor):
             return SweptState(start.contiguous())
-        return self._unbegun(problem) if start is None else self.direct.init(problem, start)
-
-    def _unbegun(self, problem: Problem, least: int = 2) -> HalfState | LearnedState | Unbegun:
-        half = half_of(problem, least)
+        half = half_of(problem)
         if half is None:
-            return self.direct.init(problem, None)
+            return self.direct.init(problem, start)
         small = at_half_size(problem, half)
-        return HalfState(half, small, self._unbegun(small, _LEAST_AGAIN))
+        return HalfState(half, small, self.init(small, None))
 
     def step(self, problem: Problem, state: LearnedSweepsState) -> LearnedSweepsState:
         return self.steps(problem, state, 1)

@@ -18,8 +18,9 @@ from pathlib import Path
 import torch
 
 from layerfield.bench.benchmark import made_on
+from layerfield.bench.recorded_road import refuse_unrecorded
 from layerfield.bench.records import write_record
-from layerfield.bench.road import EightBitViews, refuse_unrecorded
+from layerfield.bench.road import EightBitViews
 from layerfield.bench.throughput import (
     Stream,
     StreamRow,

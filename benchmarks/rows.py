@@ -17,10 +17,11 @@ from outputs import output_file
 from layerfield import DisparitySpec, Display, LightField, excess, solve
 from layerfield.fast import steps_for
 from layerfield.io import whole_file
+from layerfield.problem import Problem
 from layerfield.provenance import provenance
 from layerfield.row_system import row_reach
 from layerfield.scenes import panned
-from layerfield.solve import Problem, Solver
+from layerfield.solve import Solver
 from layerfield.solvers.fourier_admm import FourierAdmm
 from layerfield.solvers.row_gauss_newton import RowGaussNewton
 from layerfield.solvers.row_newton import RowNewton

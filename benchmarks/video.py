@@ -34,10 +34,10 @@ from layerfield.clock import Clock
 from layerfield.io import whole_file
 from layerfield.io.options import parse_grid
 from layerfield.motion import block_motion
+from layerfield.problem import Problem
 from layerfield.provenance import provenance
 from layerfield.scenes import animated, make_scene, panned, render, travelled
 from layerfield.scenes.scene import EVERYWHERE
-from layerfield.solve import Problem
 from layerfield.solvers.fourier_admm import FourierAdmm
 from layerfield.solvers.warm_admm import Left, moved_start
 from layerfield.stream import seen_from_the_middle

@@ -11,13 +11,8 @@ import torch
 
 from layerfield import Display, Problem
 from layerfield.back_projection import back_projected
-from layerfield.bench.road import (
-    EightBitViews,
-    Pipeline,
-    RecordedRoad,
-    refuse_unrecorded,
-    views_to_panels,
-)
+from layerfield.bench.recorded_road import Pipeline, RecordedRoad, refuse_unrecorded
+from layerfield.bench.road import EightBitViews, views_to_panels
 from layerfield.bench.throughput import displays
 from layerfield.display_spec import parse_spec
 from layerfield.fast import shipped_steps, solver_for, takes_sweeps

@@ -10,8 +10,8 @@ from layerfield import Display, LightField, procedural_light_field, solve
 from layerfield.display_constants import DisplayConstants
 from layerfield.display_spec import parse_spec
 from layerfield.fast import shipped_steps, steps_for, warm_steps
+from layerfield.problem import Problem
 from layerfield.projection import Projection
-from layerfield.solve import Problem
 from layerfield.solvers.fourier_admm import FourierAdmm
 from layerfield.solvers.tiled_admm import TiledAdmm
 

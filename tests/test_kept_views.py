@@ -14,9 +14,9 @@ from layerfield.io import write_png
 from layerfield.kept_views import LARGEST, KeptViews
 from layerfield.metrics import psnr, psnr_by_view, ssim
 from layerfield.own_process import in_own_process, peak_megabytes
+from layerfield.problem import Problem
 from layerfield.reference import cached_reference, reference
 from layerfield.result import make_result
-from layerfield.solve import Problem
 from layerfield.synthesizer import pose
 from layerfield.transfer import NONE, Gamma, Srgb
 

@@ -69,12 +69,12 @@ def test_lower_rooms_do_not_import_higher_ones():
         "light_field", "projection", "row_system", "grid_system", "links", "kernels", "clock",
         "lengths", "pieces", "back_projection", "warped_projection", "panel_projection",
         "frequencies", "band", "gram", "display_constants", "composition", "transfer", "panel_spec",
-        "display_spec", "display", "panels", "motion", "solve", "half_size", "between", "tone",
-        "solvers", "panel_images", "networks", "metrics", "provenance", "scenes", "io", "frames",
-        "rendering", "rgbd", "eyes", "animation", "plane_sweep", "disparity", "weights", "shipped",
-        "methods", "fast", "synthesizer", "stream", "reference", "evaluate", "remarks", "observers",
-        "stored_result", "result", "simulation", "video", "spectrum", "design", "training",
-        "report", "bench", "viewer", "demo", "reproduction", "cli", "__main__",
+        "display_spec", "display", "panels", "motion", "problem", "solve", "half_size", "between",
+        "tone", "solvers", "panel_images", "networks", "metrics", "provenance", "scenes", "io",
+        "frames", "rendering", "rgbd", "eyes", "animation", "plane_sweep", "disparity", "weights",
+        "shipped", "methods", "fast", "synthesizer", "stream", "reference", "evaluate", "remarks",
+        "observers", "stored_result", "result", "simulation", "video", "spectrum", "design",
+        "training", "report", "bench", "viewer", "demo", "reproduction", "cli", "__main__",
     ]  # fmt: skip
     source = ROOT / "src" / "layerfield"
     for file in source.rglob("*.py"):

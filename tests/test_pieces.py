@@ -10,7 +10,7 @@ from layerfield.back_projection import back_projected
 from layerfield.kept_views import KeptViews
 from layerfield.panels import quantise
 from layerfield.pieces import Piece, pieces
-from layerfield.solve import Problem
+from layerfield.problem import Problem
 from layerfield.solvers.newton_admm import slope
 from layerfield.solvers.ntf import Ntf
 from layerfield.solvers.sweeps import Sweeps

@@ -9,8 +9,8 @@ from layerfield.kept_views import KeptViews
 from layerfield.kernels import product_sweeps
 from layerfield.kernels.compiled import plain
 from layerfield.links import Multiplicative
+from layerfield.problem import Problem
 from layerfield.projection import Projection
-from layerfield.solve import Problem
 from layerfield.solvers.sweeps import Sweeps, SweepsState
 
 TEXTS = [

@@ -11,7 +11,8 @@ from layerfield.fast import Learned, LearnedCard, read_learned, write_learned
 from layerfield.kernels.cells import SIGNS, told
 from layerfield.kernels.compiled import plain
 from layerfield.links import Multiplicative
-from layerfield.solve import Problem, solve
+from layerfield.problem import Problem
+from layerfield.solve import solve
 from layerfield.solvers.learned_admm import LearnedState
 from layerfield.solvers.relief import Relief, signs
 from layerfield.training.learned_steps import LearnedSteps

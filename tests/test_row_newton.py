@@ -20,10 +20,10 @@ from layerfield import (
 from layerfield.display_spec import parse_spec
 from layerfield.fast import takes_rows
 from layerfield.kernels.compiled import plain
+from layerfield.problem import Problem
 from layerfield.reference import optimality_gap
 from layerfield.row_system import row_entries, row_reach
 from layerfield.scenes import animated
-from layerfield.solve import Problem
 from layerfield.solvers.fourier_admm import FourierAdmm
 from layerfield.solvers.row_gauss_newton import RowGaussNewton
 from layerfield.solvers.row_newton import RowNewton, RowState

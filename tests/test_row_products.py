@@ -20,8 +20,8 @@ from layerfield.display_spec import parse_spec
 from layerfield.fast import steps_for, takes_rows
 from layerfield.kept_views import KeptViews
 from layerfield.kernels.compiled import plain
+from layerfield.problem import Problem
 from layerfield.scenes import animated
-from layerfield.solve import Problem
 from layerfield.solvers.row_gauss_newton import RowGaussNewton, _Rows
 from layerfield.solvers.row_newton import to_rows
 from layerfield.solvers.sweeps import Sweeps

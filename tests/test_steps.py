@@ -21,7 +21,8 @@ from layerfield.kernels.compiled import plain
 from layerfield.kernels.small_steps import Coarse, steps_at_once
 from layerfield.kernels.steps import BalancedStart, steps_in_one_call
 from layerfield.kernels.transforms import transforms_made
-from layerfield.solve import MultiStep, Problem, solve
+from layerfield.problem import Problem
+from layerfield.solve import MultiStep, solve
 from layerfield.solvers import admm_steps, learned_admm
 from layerfield.solvers.fourier_admm import FourierAdmm
 

@@ -7,7 +7,7 @@ import torch
 
 from layerfield import Display, LightField, procedural_light_field, psnr, solve, synthesize
 from layerfield.kernels.transforms import transforms_made
-from layerfield.solve import Problem
+from layerfield.problem import Problem
 from layerfield.solvers.fourier_admm import AdmmState, FourierAdmm
 from layerfield.solvers.fourier_start import FourierStart
 from layerfield.solvers.tiled_admm import TiledAdmm, TiledState

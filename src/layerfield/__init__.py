@@ -20,9 +20,10 @@ from layerfield.geometry import Geometry
 from layerfield.io import FieldOptions, load_light_field
 from layerfield.light_field import LightField
 from layerfield.metrics import excess, layer_figures, psnr, psnr_by_view, ssim
+from layerfield.problem import Problem
 from layerfield.reference import Reference, reference
 from layerfield.scenes import procedural_light_field
-from layerfield.solve import Problem, Solution, solve
+from layerfield.solve import Solution, solve
 from layerfield.stream import synthesize_frames
 from layerfield.synthesizer import METHODS, synthesize
 from layerfield.version import __version__

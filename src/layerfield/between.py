@@ -21,7 +21,7 @@ from layerfield.display import Display
 from layerfield.geometry import Geometry, Point
 from layerfield.kept_views import KeptViews
 from layerfield.light_field import EyeViews, LightField
-from layerfield.solve import Problem
+from layerfield.problem import Problem
 from layerfield.warped_projection import project
 
 WEIGHTS = {"given": 0.5, "interpolated": 1.0}  # where the targets come from, and their weight

@@ -30,9 +30,9 @@ from layerfield.metrics import (
 )
 from layerfield.own_process import in_own_process, peak_megabytes
 from layerfield.panels import dequantise
+from layerfield.problem import Problem
 from layerfield.provenance import provenance
 from layerfield.reference import Reference, reference, store_reference
-from layerfield.solve import Problem
 from layerfield.solvers.rounding import panel_codes
 from layerfield.synthesizer import find_method, pose, spelled, synthesize
 from layerfield.weights import WEIGHT_SUFFIX

@@ -26,9 +26,10 @@ from layerfield.io.safe_output import whole_file
 from layerfield.kernels import sweep_passes
 from layerfield.links import LINKS, Link, Multiplicative
 from layerfield.methods import RunOptions, SolverMethod
+from layerfield.problem import Problem
 from layerfield.row_system import row_reach, serves_products, serves_rows
 from layerfield.shipped import TRAINED
-from layerfield.solve import Problem, Solution, Solver
+from layerfield.solve import Solution, Solver
 from layerfield.solvers.admm_steps import Constants
 from layerfield.solvers.fourier_start import FourierStart
 from layerfield.solvers.halved_sweeps import HalvedSweeps

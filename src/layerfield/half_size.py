@@ -20,8 +20,9 @@ from torch.nn.functional import conv2d, interpolate, pad
 from layerfield.kept_views import LARGEST, KeptViews
 from layerfield.kernels.compiled import serve
 from layerfield.kernels.halves import halved_views, refined_start
+from layerfield.problem import Problem
 from layerfield.projection import Projection
-from layerfield.solve import OutlivesViews, Problem, State
+from layerfield.solve import OutlivesViews, State
 
 _LEAST = 32  # pixels of a view along a side; smaller ones have little of large pixels
 _ACROSS = 3  # views

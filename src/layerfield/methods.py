@@ -17,9 +17,10 @@ from layerfield.display import Display
 from layerfield.links import LINKS, Link
 from layerfield.networks import Network
 from layerfield.networks.frame import tiled_pixels
+from layerfield.problem import Problem
 from layerfield.row_system import serves_products, serves_rows
 from layerfield.shipped import Entry, find_shipped, load_shipped
-from layerfield.solve import Problem, Solution, Solver, State, solve
+from layerfield.solve import Solution, Solver, State, solve
 from layerfield.solvers.sweeps import Sweeps
 from layerfield.tone import on_values
 from layerfield.weights import TrainedNetwork, kept_weights

@@ -33,8 +33,9 @@ from layerfield.panel_projection import (
     sampled,
 )
 from layerfield.panels import Response
+from layerfield.problem import Problem
 from layerfield.projection import Projection, sum_of
-from layerfield.solve import Problem, solve
+from layerfield.solve import solve
 from layerfield.solvers.rounding import ROUNDING_SWEEPS, JointRounding
 from layerfield.solvers.sweeps import Sweeps
 from layerfield.warped_projection import WarpedProjection

@@ -24,7 +24,8 @@ from torch import Tensor
 
 from layerfield.io.safe_output import whole_file
 from layerfield.metrics import EXACT, decibels
-from layerfield.solve import Problem, Solver, solve
+from layerfield.problem import Problem
+from layerfield.solve import Solver, solve
 from layerfield.solvers.fourier_admm import FourierAdmm
 from layerfield.solvers.fourier_start import FourierStart
 from layerfield.solvers.gradient import Gradient

@@ -31,7 +31,8 @@ from layerfield.fast import FastMethod, takes_rows, warm_solver
 from layerfield.light_field import LightField
 from layerfield.methods import Method, RowsMethod, RunOptions, SolverMethod, ToneMethod
 from layerfield.motion import block_motion, comes_from_inside, moved
-from layerfield.solve import Problem, Solution, Solver
+from layerfield.problem import Problem
+from layerfield.solve import Solution, Solver
 from layerfield.solvers.fourier_admm import AdmmState
 from layerfield.solvers.fourier_start import FourierStart
 from layerfield.solvers.learned_admm import LearnedState

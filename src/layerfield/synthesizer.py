@@ -29,8 +29,9 @@ from layerfield.methods import (
     ToneMethod,
 )
 from layerfield.nearest import did_you_mean
+from layerfield.problem import Problem
 from layerfield.shipped import shipped
-from layerfield.solve import Problem, Solution, Solver, State
+from layerfield.solve import Solution, Solver, State
 from layerfield.solvers.fourier_admm import FourierAdmm
 from layerfield.solvers.fourier_start import FourierStart
 from layerfield.solvers.gradient import Gradient

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from layerfield.links import Link
-from layerfield.solve import Problem
+from layerfield.problem import Problem
 from layerfield.transfer import Transfer
 
 _STEP = 1e-3  # of light, over which the slope of an encoding is taken: steep ones end there

@@ -15,7 +15,8 @@ from typing import Any
 
 import torch
 
-from layerfield.bench.road import EightBitViews, Panels, Pipeline, views_to_panels
+from layerfield.bench.recorded_road import Pipeline
+from layerfield.bench.road import EightBitViews, Panels, views_to_panels
 from layerfield.bench.timing import Seconds, once
 from layerfield.display import Display
 from layerfield.display_constants import constants_of

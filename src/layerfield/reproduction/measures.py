@@ -20,7 +20,7 @@ from layerfield.networks import Network
 from layerfield.reference import Reference, reference
 from layerfield.reproduction.contenders import COURSES, Contender
 from layerfield.reproduction.memory import peak_memory
-from layerfield.solve import Problem
+from layerfield.problem import Problem
 from layerfield.synthesizer import pose, synthesize
 from layerfield.weights import kept_weights
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from layerfield.frequencies import Spectral
 from layerfield.kernels.blends import Blend, Shares
 from layerfield.kernels.steps import steps_in_one_call
-from layerfield.solve import Problem
+from layerfield.problem import Problem
 
 OVERRELAXED = 1.6  # relaxation that leads nowhere astray; constants of few layers go beyond
 _LAYERS = 4  # that may go as far as they want

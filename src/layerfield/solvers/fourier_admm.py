@@ -6,7 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.solve import OutlivesViews, Problem
+from layerfield.problem import Problem
+from layerfield.solve import OutlivesViews
 from layerfield.solvers.admm_steps import (
     after_steps,
     plain_constants,

@@ -6,7 +6,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.links import Link
-from layerfield.solve import Problem, Solver, solve
+from layerfield.problem import Problem
+from layerfield.solve import Solver, solve
 from layerfield.solvers.fourier_admm import FourierAdmm
 from layerfield.solvers.sweeps import Sweeps, SweepsState
 

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.composition import compose_views
-from layerfield.solve import Problem
+from layerfield.problem import Problem
 
 _ALL = (-5, -4, -3, -2, -1)  # directions of the layers of a light field
 

@@ -8,8 +8,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.half_size import HalfState, at_half_size, at_whole_size_of_products, half_of
+from layerfield.problem import Problem
 from layerfield.projection import Projection
-from layerfield.solve import Problem
 from layerfield.solvers.fourier_start import FourierStart
 from layerfield.solvers.sweeps import Sweeps, SweepsState
 

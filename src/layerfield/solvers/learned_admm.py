@@ -12,7 +12,8 @@ from layerfield.kernels.blends import Blend, Shares
 from layerfield.kernels.small_steps import Coarse, steps_at_once
 from layerfield.kernels.starts import shared_rim
 from layerfield.kernels.steps import BalancedStart, steps_in_one_call
-from layerfield.solve import OutlivesViews, Problem
+from layerfield.problem import Problem
+from layerfield.solve import OutlivesViews
 from layerfield.solvers.admm_steps import (
     Constants,
     after_steps,

@@ -12,7 +12,7 @@ from layerfield.kernels.compiled import is_plain
 from layerfield.kernels.word_sweeps import LayerWords, swept
 from layerfield.kernels.words import Words
 from layerfield.links import Additive
-from layerfield.solve import Problem
+from layerfield.problem import Problem
 from layerfield.solvers.learned_admm import LearnedAdmm, LearnedState, Unbegun
 from layerfield.solvers.sweeps import Sweeps, SweepsState, best_layer
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.solve import Problem
+from layerfield.problem import Problem
 from layerfield.solvers.fourier_start import FourierStart
 from layerfield.solvers.sweeps import SweepsState
 

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.kernels import newton_passes
-from layerfield.solve import Problem
+from layerfield.problem import Problem
 from layerfield.solvers.admm_steps import Constants, stride
 from layerfield.solvers.fourier_admm import dual_at_bounds
 from layerfield.solvers.fourier_start import FourierStart

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.solve import Problem
+from layerfield.problem import Problem
 
 
 @dataclass(frozen=True)

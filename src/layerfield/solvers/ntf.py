@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.kernels.light_paths import Shares
-from layerfield.solve import Problem
+from layerfield.problem import Problem
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@ from torch import Tensor
 
 from layerfield.nearest import did_you_mean
 from layerfield.panels import Response, quantise
-from layerfield.solve import Problem, solve
+from layerfield.problem import Problem
+from layerfield.solve import solve
 from layerfield.solvers.sweeps import best_layer
 from layerfield.transfer import NONE, Transfer
 

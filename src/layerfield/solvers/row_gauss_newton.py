@@ -10,8 +10,8 @@ from torch import Tensor
 from layerfield.kernels.compiled import serve
 from layerfield.kernels.row_products import ProductRules, RowPaths, product_steps
 from layerfield.links import Multiplicative
+from layerfield.problem import Problem
 from layerfield.row_system import serves_products
-from layerfield.solve import Problem
 from layerfield.solvers.row_newton import RowState, plain_steps, x_behind_step
 
 

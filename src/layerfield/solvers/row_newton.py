@@ -11,8 +11,8 @@ from torch import Tensor
 from layerfield.kernels.compiled import serve
 from layerfield.kernels.row_products import ProductRules
 from layerfield.kernels.row_steps import CLOSE, RowRules, newton_steps
+from layerfield.problem import Problem
 from layerfield.row_system import serves_rows
-from layerfield.solve import Problem
 
 
 @dataclass(frozen=True, eq=False)

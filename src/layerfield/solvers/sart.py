@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.solve import Problem
+from layerfield.problem import Problem
 
 
 @dataclass(frozen=True)

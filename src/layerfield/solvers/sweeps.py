@@ -11,7 +11,7 @@ from layerfield.kernels import grid_sweeps, product_sweeps, sweep_passes
 from layerfield.kernels.compiled import serve
 from layerfield.kernels.light_paths import Shares
 from layerfield.links import Additive
-from layerfield.solve import Problem
+from layerfield.problem import Problem
 
 _ALL = (-5, -4, -3, -2, -1)  # directions of the layers of a light field
 _LEFT = Shares(shown=-1, light=1)  # what is to be shown, less what is

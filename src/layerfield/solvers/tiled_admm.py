@@ -10,7 +10,7 @@ from torch import Tensor
 from layerfield.frequencies import Spectral
 from layerfield.gram import spectral_of
 from layerfield.lengths import fast_length
-from layerfield.solve import Problem
+from layerfield.problem import Problem
 from layerfield.solvers.fourier_admm import AdmmState, FourierAdmm, dual_at_bounds
 
 _LEAST_CORE = 16  # pixels of a tile that are not overlap

@@ -12,7 +12,7 @@ from torch.nn.functional import pad
 from layerfield.kernels.compiled import serve
 from layerfield.kernels.moved import moved_parts
 from layerfield.motion import framed, moved, rim_of
-from layerfield.solve import Problem
+from layerfield.problem import Problem
 from layerfield.solvers.admm_steps import Constants, after_steps
 from layerfield.solvers.learned_admm import BALANCE, LearnedState
 

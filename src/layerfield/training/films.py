@@ -11,8 +11,9 @@ from torch import Tensor
 from layerfield.display import Display
 from layerfield.fast import shipped_steps
 from layerfield.motion import block_motion
+from layerfield.problem import Problem
 from layerfield.scenes import animated, panned, travelled
-from layerfield.solve import Problem, solve
+from layerfield.solve import solve
 from layerfield.solvers.warm_admm import Left, moved_start
 from layerfield.stream import seen_from_the_middle
 from layerfield.training.learned_steps import LearnedSteps, squares

@@ -24,8 +24,8 @@ from layerfield.frequencies import (
 )
 from layerfield.gram import Gram
 from layerfield.kernels.cells import SIGNS
+from layerfield.problem import Problem
 from layerfield.projection import sum_of
-from layerfield.solve import Problem
 from layerfield.solvers.admm_steps import OVERRELAXED, Constants, stride
 from layerfield.solvers.fourier_admm import dual_at_bounds
 from layerfield.solvers.learned_admm import BALANCE, SOFTEST, coarse_grid

@@ -16,8 +16,9 @@ from torch import Tensor
 from layerfield.fast import Learned, LearnedCard, write_learned
 from layerfield.io import whole_file
 from layerfield.links import Multiplicative
+from layerfield.problem import Problem
 from layerfield.provenance import provenance
-from layerfield.solve import Problem, solve
+from layerfield.solve import solve
 from layerfield.synthesizer import SOLVERS
 from layerfield.training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from layerfield.training.films import Film, FilmLesson, films, last_frames

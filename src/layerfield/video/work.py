@@ -13,7 +13,8 @@ from layerfield.light_field import LightField
 from layerfield.metrics import decibels, finite, mean_square_error
 from layerfield.panel_images import panel_images
 from layerfield.panels import dequantise
-from layerfield.solve import Problem, Solution
+from layerfield.problem import Problem
+from layerfield.solve import Solution
 from layerfield.solvers.rounding import panel_codes
 from layerfield.stream import synthesize_frames
 from layerfield.synthesizer import pose

@@ -9,7 +9,11 @@ from layerfield.version import __version__
 
 
 def provenance(device: torch.device) -> dict[str, str | int]:
-    """Return versions, processor and threads, to be recorded beside results."""
+    """Return versions, processor and threads, to be recorded beside results.
+
+    Beside a processor's name stand its widest vector instructions (AVX2, AVX512): times depend on
+    them, and virtual machines call processors with and without by one name.
+    """
     return {
         "layerfield": __version__,
         "python": platform.python_version(),
@@ -28,4 +32,5 @@ def _processor(device: torch.device) -> str:
     except OSError:
         lines = []
     named = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    return named[0] if named else platform.machine()
+    widest = torch.backends.cpu.get_cpu_capability()
+    return f"{named[0] if named else platform.machine()}, {widest}"

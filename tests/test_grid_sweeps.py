@@ -13,6 +13,7 @@ from layerfield.kept_views import KeptViews
 from layerfield.kernels import grid_sweeps
 from layerfield.kernels.compiled import plain
 from layerfield.solve import solve
+from layerfield.solvers.gradient import Gradient
 from layerfield.solvers.sweeps import Sweeps, SweepsState, best_layer
 
 KINDS = {name: text for name, text in SHOWN.items() if name != "one layer"} | {
@@ -101,6 +102,38 @@ def test_sweeps_are_those_of_the_views(kind, size):
             assert close(best_layer(problem, layers, index), known)
 
 
+def test_every_pixel_has_a_say_in_whether_it_goes_uphill():
+    """Most of a row leads up, its end far down; or the other way round."""
+    problem = posed("three layers", (40, 100))
+    system, ahead = problem.constants.grid, some_layers(problem)
+    assert system is not None
+    given = system, problem.back_projected, ahead.clone()
+    made, _ = grid_sweeps.swept_(*given, some_layers(problem), (0, 1))
+    for sign in (1.0, -1.0):
+        way = torch.full_like(made, sign)
+        way[..., 70:] = -sign
+        last = made - way * (ahead - made)  # so (A - P) (P - last P) has the sign of the way
+        expected = ((ahead - made) * (made - last)).sum() > 0
+        _, uphill = grid_sweeps.swept_(*given[:2], ahead.clone(), last, (0, 1))
+        assert bool(uphill) == bool(expected) == (sign > 0)
+
+
+@pytest.mark.parametrize("size", [(75, 20), (3, 150), (200, 1)])
+@pytest.mark.parametrize("kind", KINDS)
+def test_gradients_are_those_of_the_views(kind, size):
+    """Steps, momentum and pixels that nobody sees included; several parts, and one."""
+    problem, solver = posed(kind, size, batch=(2,)), Gradient()
+    exact, layers = by_the_views(problem), some_layers(problem)
+    state = plainly = replace(solver.init(problem, layers), ahead=some_layers(problem, 4) * 2 - 0.5)
+    expected = replace(solver.init(exact, layers.double()), ahead=state.ahead.double())
+    for _ in range(4):
+        state, expected = solver.step(problem, state), solver.step(exact, expected)
+        with plain():
+            plainly = solver.step(problem, plainly)
+        assert close(state.layers, expected.layers)
+        assert close(plainly.layers, expected.layers)
+
+
 @pytest.mark.parametrize("kind", ["three layers", "two layers, fractions"])
 def test_threads_change_nothing_and_states_stay(kind):
     problem = posed(kind, (300, 40))
@@ -120,3 +153,5 @@ def test_layers_of_another_display_are_refused():
     layers = some_layers(problem)
     with pytest.raises(ValueError, match=r"found layers of shape .*, expected"):
         grid_sweeps.swept_(system, problem.back_projected, layers, layers, (0, 1))
+    with pytest.raises(ValueError, match=r"found layers of shape .*, expected"):
+        grid_sweeps.moved(system, problem.back_projected, layers, layers, (0, 1))

@@ -116,7 +116,10 @@ def test_operations_of_solvers_are_those_counted_by_hand():
     torus = 36 * 44  # just the layer pixels
     layers = 3 * torus
     assert solver_cost("sart", problem) == Cost(0.0, 2 * 75 + 25)
-    assert solver_cost("gradient", problem).each == pytest.approx(175 + 3 * layers / pixels)
+    bands = 2 * (1 + 5 + 5)  # of a layer, down and across: its own, and five for each other
+    descent = solver_cost("gradient", problem)
+    assert descent.once == 75
+    assert descent.each == pytest.approx((bands + 4) * layers / pixels)
     transform = 1.25 * torus * math.log2(torus)
     direct = 6 * transform + 9 * torus + 150 * (torus - pixels)
     nmf, admm = solver_cost("nmf", problem), solver_cost("fourier-admm", problem)

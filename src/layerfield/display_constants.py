@@ -93,6 +93,11 @@ class DisplayConstants:
         return grid_system(self.projection, self.weights, self.view_size)
 
     @cached_property
+    def grid_at_once(self) -> GridSystem | None:
+        """The same for all layers to move at once; see `grid_system`."""
+        return grid_system(self.projection, self.weights, self.view_size, at_once=True)
+
+    @cached_property
     def words(self) -> Words | None:
         """The same in 16-bit words, where that is as fine as panels are."""
         return None if self.grid is None else words_of(self.grid, self.weights[0])

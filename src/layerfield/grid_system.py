@@ -81,7 +81,11 @@ def _banded(pixels: Tensor, bands: Bands, index: int, other: int, dim: int) -> T
 
 
 def grid_system(
-    projection: Projection, weights: Sequence[float], view_size: tuple[int, int]
+    projection: Projection,
+    weights: Sequence[float],
+    view_size: tuple[int, int],
+    *,
+    at_once: bool = False,
 ) -> GridSystem | None:
     """Return the normal equations of a grid, or None where views are none or count differently.
 
@@ -89,6 +93,8 @@ def grid_system(
         projection: A.
         weights: W, one for every view.
         view_size: height and width of the views.
+        at_once: for all K layers to move at once. Their own matrices are then among the bands, and
+            gains are smaller by K, so that together they do not go too far.
     """
     upright = [tuple(y for _, y in layers) for layers in projection.shifts]
     level = [tuple(x for x, _ in layers) for layers in projection.shifts]
@@ -97,9 +103,11 @@ def grid_system(
     if type(projection) is not Projection or not is_grid or len({*weights}) > 1:
         return None
     taps = zip(*projection.taps, strict=True)
-    alone = np.array([all(len(each) == 1 for each in views) for views in taps])
+    alone = np.array([not at_once and all(len(each) == 1 for each in views) for views in taps])
     (height, width), (my, mx) = view_size, projection.margin
     rows = _bands(sorted(down), alone, height, my, weights[0])
+    if at_once:
+        rows = rows._replace(gains=rows.gains / len(alone))
     return GridSystem(rows, _bands(sorted(across), alone, width, mx, 1.0), alone)
 
 

@@ -14,6 +14,7 @@ from layerfield.composition import compose_view
 from layerfield.display import Display
 from layerfield.display_constants import DisplayConstants, constants_of
 from layerfield.gram import Gram
+from layerfield.grid_system import GridSystem
 from layerfield.kept_views import KeptViews
 from layerfield.kernels.codes import mean_of
 from layerfield.kernels.compiled import serve
@@ -127,6 +128,19 @@ class Problem:
         like = self.views.like
         posed = (self.projection, self.weights, self.view_size)
         return constants_of(*posed, like.dtype, like.device)
+
+    def grid(self, *, at_once: bool = False) -> GridSystem | None:
+        """Return the normal equations of a grid, where solvers go by them instead of by the views.
+
+        Light adds up, views stand in a grid and count alike; single precision, on a processor.
+
+        Args:
+            at_once: for all layers to move at once, see `grid_system`.
+        """
+        fits = self.views.like.dtype == torch.float32 and self.device.type == "cpu"
+        if not fits or not isinstance(self.link, Additive) or self.subframes > 1:
+            return None
+        return self.constants.grid_at_once if at_once else self.constants.grid
 
     @property
     def gram(self) -> Gram:

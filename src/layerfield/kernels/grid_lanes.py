@@ -95,10 +95,12 @@ def settle(_: Any, rows: Any, gain: Any, bounds: Any, is_alone: Any, count: Any)
         rows, gain, bounds, is_alone, count = values
         made, own, ago, seen, total, gains = cgutils.unpack_tuple(builder, rows)
         limits = cgutils.unpack_tuple(builder, bounds)
-        totals = list[tuple[Lanes, Any]]()
-        for lanes, (place,) in side_by_side(builder, count, *_ONE_BY_ONE):
-            back = cgutils.alloca_once_value(builder, lanes.constant(_FLOAT, 0.0))
-            totals.append((lanes, back))
+        every = [Lanes(builder, each) for _, each in _ONE_BY_ONE]
+        totals = [  # before the loops: inside, each turn would begin anew
+            cgutils.alloca_once_value(builder, lanes.constant(_FLOAT, 0.0)) for lanes in every
+        ]
+        loops = side_by_side(builder, count, *_ONE_BY_ONE)
+        for (lanes, (place,)), back in zip(loops, totals, strict=True):
             zero, low, high = lanes.constant(_FLOAT, 0.0), *map(lanes.all, limits)
             light, shown, begun, before, known = (
                 lanes.read(row, place, _FLOAT) for row in (seen, total, own, ago, gains)
@@ -115,7 +117,8 @@ def settle(_: Any, rows: Any, gain: Any, bounds: Any, is_alone: Any, count: Any)
             gone = builder.fsub(begun, found, flags=FREE)
             part = builder.fmul(gone, builder.fsub(found, before, flags=FREE), flags=FREE)
             builder.store(builder.fadd(builder.load(back), part, flags=FREE), back)
-        parts = (part for lanes, back in totals for part in lanes.each(builder.load(back)))
+        backs = zip(every, totals, strict=True)
+        parts = (part for lanes, back in backs for part in lanes.each(builder.load(back)))
         return reduce(partial(builder.fadd, flags=FREE), parts)
 
     return kinds.float32(*given), generate

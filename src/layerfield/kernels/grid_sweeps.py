@@ -66,7 +66,35 @@ def swept_(
     made = ahead if in_place else torch.empty_like(ahead)
     new = 0 if in_place else 1
     turns = [_Turn(k, front=new, made=new) for k in range(len(system.alone))]
-    given = ahead, made, last, seen
+    return _made(system, turns, (ahead, made, last, seen), bounds)
+
+
+def moved(
+    system: GridSystem, seen: Layers, ahead: Layers, last: Layers, bounds: tuple[float, float]
+) -> tuple[Layers, Bool[Tensor, "*batch 1 1 1 1 1"]]:
+    """Return layers after all have moved at once, and what `swept_` does; arguments as there.
+
+    Args:
+        system: for layers to move at once, see `grid_system`.
+        seen: b.
+        ahead: A, where all begin.
+        last: P of one step ago.
+        bounds: of pixels.
+
+    Raises:
+        ValueError: as of `swept_`.
+    """
+    turns = [_Turn(k, made=1) for k in range(len(system.alone))]
+    return _made(system, turns, (ahead, torch.empty_like(ahead), last, seen), bounds)
+
+
+def _made(
+    system: GridSystem,
+    turns: list[_Turn],
+    given: tuple[Tensor, Tensor, Tensor, Tensor],
+    bounds: tuple[float, float],
+) -> tuple[Tensor, Tensor]:
+    made = given[1]
     back = _settle(_Arrays(*(_planes(system, each) for each in given)), system, turns, bounds)
     return made, torch.from_numpy(back > 0).view(*made.shape[:-5], 1, 1, 1, 1, 1)
 

@@ -17,10 +17,10 @@ from layerfield.gram import Gram
 from layerfield.light_field import LightField
 from layerfield.metrics import LayerFigures, decibels, layer_figures, psnr, psnr_by_view
 from layerfield.networks import Network
+from layerfield.problem import Problem
 from layerfield.reference import Reference, reference
 from layerfield.reproduction.contenders import COURSES, Contender
 from layerfield.reproduction.memory import peak_memory
-from layerfield.problem import Problem
 from layerfield.synthesizer import pose, synthesize
 from layerfield.weights import kept_weights
 
@@ -271,7 +271,9 @@ def solver_cost(name: str, problem: Problem) -> Cost:
         band             2 T (n - p)
         G(f)             K^2 n, twice that if it is complex
         sart             2 T p + N p            A of one view at a time, residual, A^T
-        gradient         2 T p + N p + 3 K q    A, residual, A^T, step and momentum
+        gradient         (B + 4 K) q            B bands of G, residual, step and momentum
+                                                                                once: A^T L = T p
+                         2 T p + N p + 3 K q    views in no grid: A, residual, A^T, the same
         nmf              2 K FFT + G(f) + band + 2 K q                  once: A^T L = T p
         fourier-admm     2 K FFT + G(f) + band + 4 K n                  once: A^T L = T p
 
@@ -286,7 +288,11 @@ def solver_cost(name: str, problem: Problem) -> Cost:
     if name == "sart":
         return Cost(0.0, linear / view)
     if name == "gradient":
-        return Cost(0.0, (linear + 3 * layers * layer) / view)
+        grid = problem.grid(at_once=True)
+        if grid is None:
+            return Cost(0.0, (linear + 3 * layers * layer) / view)
+        bands = sum(int(each.begins[:, -1].sum()) for each in (grid.rows, grid.columns))
+        return Cost(float(taps), (bands + 4 * layers) * layer / view)
     gram = problem.gram
     fourier = _gram_cost(gram, layers, taps, view)
     own = {"nmf": 2 * layers * layer, "fourier-admm": 4 * layers * math.prod(gram.torus)}[name]

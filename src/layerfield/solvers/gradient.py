@@ -1,4 +1,4 @@
-"""Projected gradients through the differentiable display: any link, the slow reference."""
+"""Accelerated projected gradients: any link, the classical first-order method."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.composition import compose_views
+from layerfield.grid_system import GridSystem
+from layerfield.kernels import grid_sweeps
+from layerfield.kernels.compiled import serve
 from layerfield.problem import Problem
+from layerfield.solvers.newton_admm import slope
 
 _ALL = (-5, -4, -3, -2, -1)  # directions of the layers of a light field
 
@@ -23,12 +27,17 @@ class GradientState:
 
 @dataclass(frozen=True)
 class Gradient:
-    """Accelerated projected gradients with adaptive restart, differentiated automatically.
+    """Accelerated projected gradients with adaptive restart.
 
-        P' = clamp(Y - grad f(Y) / (K o^2 sum w)),  Y' = P' + (t - 1) / t' (P' - P)
+        P' = clamp(Y - grad f(Y) / C),  C_k = K o^2 A_k^T W 1,  Y' = P' + (t - 1) / t' (P' - P)
 
-    o is the largest derivative of the link: K o^2 sum w bounds the curvature of a sum, and that
-    of other links up to the residual. A subframe shows a share of the light, so steps grow by it.
+    o is the largest derivative of the link. C bounds the curvature of a sum, pixel by pixel (the
+    weight of all views, or of fewer near the border), and that of other links up to the residual.
+    A subframe shows a share of the light, so steps grow by it. Pixels that nobody sees stay.
+
+    Where light adds up and views stand in a grid, grad f is G Y - A^T L, with nothing of the views
+    but A^T L; elsewhere it is summed up along the light paths, and that of several subframes found
+    by differentiating the display automatically.
 
     Reference: Beck and Teboulle, SIAM J. Imaging Sciences 2(1), 2009; restart: O'Donoghue and
     Candes, Found. Comput. Math. 15, 2015.
@@ -41,15 +50,11 @@ class Gradient:
         return GradientState(layers, layers, layers.new_ones(*layers.shape[:-5], 1, 1, 1, 1, 1))
 
     def step(self, problem: Problem, state: GradientState) -> GradientState:
-        gradient = _gradient(problem, state.ahead)
-        curvature = problem.layer_count * sum(problem.weights) * problem.link.steepest**2
-        curvature /= problem.subframes
-        layers = (state.ahead - gradient / curvature).clamp(*problem.bounds)
-        moved = layers - state.layers
-        uphill = ((state.ahead - layers) * moved).sum(dim=_ALL, keepdim=True) > 0  # begin anew
+        layers, uphill = _descended(problem, state.ahead, state.layers)
         following = (1 + (1 + 4 * state.momentum**2).sqrt()) / 2
         push = torch.where(uphill, 0, (state.momentum - 1) / following)
-        return GradientState(layers, layers + moved * push, torch.where(uphill, 1, following))
+        ahead = state.layers.lerp(layers, 1 + push)
+        return GradientState(layers, ahead, torch.where(uphill, 1, following))
 
     def layers(
         self, problem: Problem, state: GradientState
@@ -57,8 +62,40 @@ class Gradient:
         return state.layers
 
 
+def _descended(problem: Problem, ahead: Tensor, last: Tensor) -> tuple[Tensor, Tensor]:
+    """Return P' = clamp(Y - grad f(Y) / C), and whether to begin anew: (Y - P') (P' - P) above 0.
+
+    Args:
+        problem: f and its bounds.
+        ahead: Y.
+        last: P.
+    """
+    if (grid := problem.grid(at_once=True)) is not None:
+        seen, ahead, last = (x.contiguous() for x in (problem.back_projected, ahead, last))
+        if serve(seen, ahead, last):
+            return grid_sweeps.moved(grid, seen, ahead, last, problem.bounds)
+        moved = _moved_at_once(grid, seen, ahead)
+    else:
+        share = problem.subframes / problem.link.steepest**2
+        step = problem.constants.even_shares  # 1 / (K A_k^T W 1)
+        moved = torch.addcmul(ahead, _gradient(problem, ahead), step, value=-share)
+    layers = moved.clamp_(*problem.bounds)
+    return layers, ((ahead - layers) * (layers - last)).sum(dim=_ALL, keepdim=True) > 0
+
+
+def _moved_at_once(grid: GridSystem, seen: Tensor, ahead: Tensor) -> Tensor:
+    """Return all layers moved by the normal equations of a grid, unclamped."""
+    moved = [
+        ahead[..., k, :, :, :] + grid.gains(k) * (seen[..., k, :, :, :] - grid.brought(ahead, k))
+        for k in range(ahead.shape[-4])
+    ]
+    return torch.stack(moved, dim=-4)
+
+
 def _gradient(problem: Problem, layers: Tensor) -> Tensor:
-    """The gradient of 1/2 sum_i w_i ||L_i - target_i||^2 by automatic differentiation."""
+    """Return grad f, of f = 1/2 sum_i w_i ||link(A_i P) - L_i||^2."""
+    if problem.subframes == 1:
+        return slope(problem, layers)
     with torch.inference_mode(False), torch.enable_grad():
         variable = layers.detach().clone().requires_grad_()  # a copy has no inference mode
         views = compose_views(variable, problem.projection, problem.link)

@@ -10,7 +10,6 @@ from layerfield.grid_system import GridSystem
 from layerfield.kernels import grid_sweeps, product_sweeps, sweep_passes
 from layerfield.kernels.compiled import serve
 from layerfield.kernels.light_paths import Shares
-from layerfield.links import Additive
 from layerfield.problem import Problem
 
 _ALL = (-5, -4, -3, -2, -1)  # directions of the layers of a light field
@@ -89,7 +88,7 @@ def _swept(problem: Problem, state: SweepsState, *, exact: bool) -> tuple[Tensor
     if product_sweeps.serves(paths, state.layers):
         return product_sweeps.swept(paths, *given, problem.bounds)
     ahead = sweep_passes.ahead(*given, problem.bounds)
-    if (grid := _grid(problem, ahead)) is not None and state.layers.is_contiguous():
+    if (grid := problem.grid()) is not None and state.layers.is_contiguous():
         seen = problem.back_projected
         if serve(seen, ahead, state.layers):
             return grid_sweeps.swept_(grid, seen, ahead, state.layers, problem.bounds)
@@ -109,7 +108,7 @@ def best_layer(
     problem: Problem, layers: Float[Tensor, "*batch subframe layer c ly lx"], index: int
 ) -> Float[Tensor, "*batch subframe c ly lx"]:
     """Return one layer, in all subframes, that minimises the (majorised) error per pixel."""
-    if (grid := _grid(problem, layers)) is not None:
+    if (grid := problem.grid()) is not None:
         return _best_of_grid(problem, grid, layers, index)
     best = layers[..., index, :, :, :].clone()
     slope, curvature = _normal_equations(problem, layers, index)
@@ -125,17 +124,6 @@ def best_layer(
             for t in subframes:
                 slope[t].addcmul_(curvature[s][t], moved, value=-1)
     return best
-
-
-def _grid(problem: Problem, layers: Tensor) -> GridSystem | None:
-    """Return the normal equations, where sweeps go by them instead of by the views.
-
-    Light adds up, views stand in a grid and count alike; single precision, on a processor.
-    """
-    if not isinstance(problem.link, Additive) or problem.subframes > 1:
-        return None
-    fits = layers.dtype == torch.float32 and layers.device.type == "cpu"
-    return problem.constants.grid if fits else None
 
 
 def _best_of_grid(problem: Problem, grid: GridSystem, layers: Tensor, index: int) -> Tensor:

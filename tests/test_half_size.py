@@ -37,23 +37,23 @@ def noise(*shape: int) -> torch.Tensor:
 @pytest.mark.parametrize(
     ("text", "views", "before"),
     [
-        ("views = [5, 5]\ndisparity = [1, 0, -1]", 9, [(0, 0)] * 3),
-        ("views = [5, 5]\ndisparity = [2, 1]", 9, [(0, 0)] * 2),
-        ("views = [7, 3]\ndisparity = [2, 0, -2]", 21, [(0, 0)] * 3),
-        ("views = [7, 7]\ndisparity = [1, 0]", 16, [(0, 0), (1, 1)]),
-        ("views = [5, 1]\ndisparity = [1, 0, -1]", 3, [(0, 0)] * 3),
+        ("views = [5, 5]\ndisparity = [1, 0, -1]", 9, (0, 0)),
+        ("views = [5, 5]\ndisparity = [2, 1]", 9, (0, 0)),
+        ("views = [7, 3]\ndisparity = [2, 0, -2]", 21, (0, 0)),
+        ("views = [7, 7]\ndisparity = [1, 0]", 9, (1, 1)),
+        ("views = [5, 1]\ndisparity = [1, 0, -1]", 3, (0, 0)),
         ("views = [3, 3]\ndisparity = [1, 0, -1]", None, None),
-        ("views = [4, 4]\ndisparity = [2, 0]", 16, [(0, 0), (1, 1)]),
+        ("views = [4, 4]\ndisparity = [2, 0]", None, None),
         ("views = [4, 4]\ndisparity = [1, -1]", None, None),
         ("views = [5, 5]\ndisparity = [1.5, 0]", None, None),
         ("views = [2, 2]\ndisparity = [1, 0]", None, None),
     ],
 )
-def test_views_are_those_whose_paths_differ_by_even_numbers(text, views, before):
+def test_views_are_those_whose_paths_are_even(text, views, before):
     half = half_of(posed(display(text), (64, 64)))
     assert (None if half is None else len(half.views)) == views
     if half is not None:
-        assert list(half.before) == before
+        assert half.before == before
         assert half.projection.is_whole
     assert half_of(posed(display(text), (31, 64))) is None
 
@@ -94,11 +94,7 @@ def test_means_of_pixels_and_the_way_back_are_what_pytorch_makes(kind, size):
 
 @pytest.mark.parametrize(
     "text",
-    [
-        "views = [5, 5]\ndisparity = [1, 0, -1]",
-        "views = [7, 7]\ndisparity = [1, 0]",
-        "views = [4, 4]\ndisparity = [2, 0, -2]",
-    ],
+    ["views = [5, 5]\ndisparity = [1, 0, -1]", "views = [7, 7]\ndisparity = [1, 0]"],
 )
 @pytest.mark.parametrize("size", [(40, 56), (41, 57)])
 def test_layers_of_half_size_lie_where_those_of_whole_size_do(text, size):
@@ -118,8 +114,9 @@ def test_layers_of_half_size_lie_where_those_of_whole_size_do(text, size):
     assert half is not None
     small = at_half_size(problem, half)
     rows, columns = (torch.arange(n).float() for n in small.layer_shape[-2:])
-    places = [(2 * rows + 0.5 - top, 2 * columns + 0.5 - left) for top, left in half.before]
-    known = torch.stack([ramps(y, x, k).unsqueeze(0) for k, (y, x) in enumerate(places)])[None]
+    top, left = half.before
+    place = 2 * rows + 0.5 - top, 2 * columns + 0.5 - left
+    known = torch.stack([ramps(*place, k).unsqueeze(0) for k in range(number)])[None]
     for i, view in enumerate(small.views):
         inside = (small.view(known, i) - view)[..., 1:-1, 1:-1]
         torch.testing.assert_close(inside, torch.zeros_like(inside), atol=1e-6, rtol=0)

@@ -1,12 +1,10 @@
 """A problem at half its size: what is far apart is near there, and a step costs a quarter.
 
-Not all views are asked for. Those whose light paths differ by even numbers of pixels on every layer
-have paths through whole pixels at half size, too, where sweeps are quick; the others would meet
-layers between pixels, and what they say of layers that look alike would be blurred. Where all those
-paths are odd on a layer, its large pixels begin a pixel later.
+Not all views are asked for. Those whose light paths move by even numbers of pixels have paths
+through whole pixels at half size, too, where sweeps are quick; the others would meet layers between
+pixels, and what they say of layers that look alike would be blurred.
 """
 
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -36,12 +34,12 @@ class Half(NamedTuple):
     Args:
         views: those that are asked for.
         projection: A, from layers to these.
-        before: pixels (y, x) of whole size by which each layer begins before that of whole size.
+        before: pixels (y, x) of whole size by which its layers begin before those of whole size.
     """
 
     views: tuple[int, ...]
     projection: Projection
-    before: tuple[tuple[int, int], ...]
+    before: tuple[int, int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +55,7 @@ class HalfState(OutlivesViews):
 def half_of(problem: Problem) -> Half | None:
     """Return the display of a problem at half size, for as many views as can be asked for.
 
-    None where views are small, or too few have light paths that differ by even numbers of pixels:
+    None where views are small, or too few have light paths that move by even numbers of pixels:
     three along each direction at the least, but where there is a single one. Of two there is little
     to learn. Views of weight 0 are none.
     """
@@ -68,33 +66,24 @@ def half_of(problem: Problem) -> Half | None:
 def _half_of(
     projection: Projection, weights: tuple[float, ...], view_size: tuple[int, int]
 ) -> Half | None:
-    if type(projection) is not Projection or not projection.is_whole or min(view_size) < _LEAST:
+    if type(projection) is not Projection or min(view_size) < _LEAST:
         return None
     seen = {n: paths for n, paths in enumerate(projection.shifts) if weights[n] > 0}
-    alike: dict[tuple[tuple[int, int], ...], list[int]] = defaultdict(list)
-    for n, paths in seen.items():
-        alike[tuple((int(y) % 2, int(x) % 2) for y, x in paths)].append(n)
-
-    def counts(odd: tuple[tuple[int, int], ...]) -> tuple[float, int]:
-        return sum(weights[n] for n in alike[odd]), -sum(map(sum, odd))  # of as many, even ones
-
-    odd = max(alike, key=counts)
-    chosen = tuple(alike[odd])
+    chosen = tuple(n for n, paths in seen.items() if _are_even(paths))
     for direction in range(2):
         every, found = (
             {tuple(path[direction] for path in seen[n]) for n in some} for some in (seen, chosen)
         )
         if len(found) < (_ACROSS if len(every) > 1 else 1):
             return None
-    first_y, first_x = zip(*odd, strict=True)
+    shifts = tuple(tuple((y / 2, x / 2) for y, x in seen[n]) for n in chosen)
     my, mx = projection.margin
-    margin = -(-(my + max(first_y)) // 2), -(-(mx + max(first_x)) // 2)
-    shifts = tuple(
-        tuple(((y - v) / 2, (x - u) / 2) for (y, x), (v, u) in zip(seen[n], odd, strict=True))
-        for n in chosen
-    )
-    before = tuple((2 * margin[0] - my - v, 2 * margin[1] - mx - u) for v, u in odd)
-    return Half(chosen, Projection(shifts, margin), before)
+    margin = -(-my // 2), -(-mx // 2)
+    return Half(chosen, Projection(shifts, margin), (2 * margin[0] - my, 2 * margin[1] - mx))
+
+
+def _are_even(paths: Sequence[tuple[float, float]]) -> bool:
+    return all(shift % 2 == 0 for path in paths for shift in path)
 
 
 def at_half_size(problem: Problem, half: Half) -> Problem:
@@ -152,16 +141,12 @@ def at_whole_size_of_products(
     return law[levels] * _twice(ratio, half.before, seen.shape)
 
 
-def _twice(change: Tensor, before: Sequence[tuple[int, int]], shape: Sequence[int]) -> Tensor:
+def _twice(change: Tensor, before: tuple[int, int], shape: Sequence[int]) -> Tensor:
     """Return what is between pixels of half size, as large as layers."""
-    height, width = shape[-2:]
+    (top, left), (height, width) = before, shape[-2:]
     wide = interpolate(change.flatten(0, -3)[None], scale_factor=2, mode="bilinear")[0]
-    layers = wide.view(*change.shape[:-2], *wide.shape[-2:]).unbind(dim=-4)
-    cut = [
-        layer[..., top : top + height, left : left + width]
-        for layer, (top, left) in zip(layers, before, strict=True)
-    ]
-    return torch.stack(cut, dim=-4)
+    layers = wide.view(*change.shape[:-2], *wide.shape[-2:])
+    return layers[..., top : top + height, left : left + width]
 
 
 def _root_of_light(table: Tensor | None, number: int) -> Float[Tensor, " level"]:

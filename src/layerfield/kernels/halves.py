@@ -86,7 +86,7 @@ def refined_start(
     shares: Float[Tensor, "layer 1 ly lx"],
     rest: Float[Tensor, "*batch 1 c 1 1"],
     change: Float[Tensor, "*batch layer c hy hx"],
-    before: Sequence[tuple[int, int]],
+    before: tuple[int, int],
     law: Float[Tensor, " level"] | None = None,
 ) -> Float[Tensor, "*batch layer c ly lx"]:
     """Return a balanced start and, added to it, a change at half size, interpolated linearly.
@@ -98,7 +98,7 @@ def refined_start(
         shares: what to multiply it by; where that is 0
         rest: is taken.
         change: as far as the layers and no less; goes on at its edges.
-        before: pixels (y, x) of whole size by which it begins before each of the layers.
+        before: pixels (y, x) of whole size by which it begins before the layers, 0 or 1.
         law: of starts from 0 to 1, at even steps.
     """
     even, made = even_of(seen, shares, rest), torch.empty_like(seen)
@@ -125,9 +125,8 @@ def _refine(made, seen, even, change, before, law, begin, end):
         plane, y = divmod(n, height)
         both, channel = divmod(plane, channels)
         item, layer = divmod(both, layers)
-        top, left = before[layer]
-        here = (y + top) // 2
-        other = min(max(here + 2 * ((y + top) % 2) - 1, 0), rows - 1)
+        here = (y + before[0]) // 2
+        other = min(max(here + 2 * ((y + before[0]) % 2) - 1, 0), rows - 1)
         near, far = change[plane, here], change[plane, other]
         for x in range(columns):
             beside[x + 1] = _NEAR * near[x] + _FAR * far[x]
@@ -136,14 +135,14 @@ def _refine(made, seen, even, change, before, law, begin, end):
             wide[2 * x] = _NEAR * beside[x + 1] + _FAR * beside[x]
             wide[2 * x + 1] = _NEAR * beside[x + 1] + _FAR * beside[x + 2]
         shares, light, to = even.shares[layer, y], seen[plane, y], made[plane, y]
-        rest = even.rest[item, channel]
+        rest, first = even.rest[item, channel], before[1]
         if len(law) == 0:
             for x in range(width):
                 start = shares[x] * light[x] if shares[x] > 0 else rest
-                to[x] = start + wide[x + left]
+                to[x] = start + wide[x + first]
         else:
             most = np.float32(len(law) - 1)
             for x in range(width):
                 start = shares[x] * light[x] if shares[x] > 0 else rest
                 level = min(max(start * most + _HALF, _HALF), most)
-                to[x] = law[np.int64(level)] * wide[x + left]
+                to[x] = law[np.int64(level)] * wide[x + first]

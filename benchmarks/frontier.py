@@ -1,11 +1,13 @@
-"""Quality against time on the five light fields, and how time grows.
+"""Quality against time on the five light fields, when each method arrives, and how time grows.
 
     python benchmarks/frontier.py OUT [--resume]
+    python benchmarks/frontier.py OUT --arrival [--resume]
     python benchmarks/frontier.py OUT --scaling [--resume]
 
 The same as `layerfield bench`, which reads all light fields alike; these five want options of their
-own. OUT is a folder with bench.json (or scaling.json) and figures. Left out are methods that are
-others in disguise (tiles, tones) and networks of other displays.
+own. OUT is a folder with bench.json (or scaling.json) and figures. With --arrival methods for light
+that adds up are asked, on two light fields, until they come within 0.1 dB of the optimum. Left out
+are methods that are others in disguise (tiles, tones) and networks of other displays.
 """
 
 import argparse
@@ -14,7 +16,7 @@ from pathlib import Path
 import torch
 from five_fields import five_fields
 
-from layerfield import Display
+from layerfield import Display, LightField
 from layerfield.bench.benchmark import bench_growth, bench_methods
 from layerfield.bench.frontier import Contest
 from layerfield.bench.reaching import reached_tables
@@ -35,16 +37,32 @@ CONTENDERS = {
     "unet": (0,),
     "stacked-cnn": (0,),
 }
+ARRIVING = {
+    "fast": (1, 2, 3, 4),
+    "fourier-admm": (5, 10, 15, 20, 25, 30, 40),
+    "sweeps": (10, 20, 30, 40, 50),
+    "gradient": (20, 40, 50, 60, 80, 100, 120),
+    "nmf": (20, 100, 200, 400),
+    "sart": (10, 40),
+    "stacked-cnn": (0,),
+}
 CPU = torch.device("cpu")
 EFFORT = Effort(repeats=3, cap=6.0)
 PATIENT = Effort(repeats=5, cap=20.0)  # the first run of a size fills memory, and takes longer
 
 
 def frontier(out: Path) -> None:
-    models = [Display.load(name) for name in PRESETS]
-    contest = Contest(models, list(CONTENDERS.items()), EFFORT, CPU)
-    fields = list(five_fields().values())
-    command = "python benchmarks/frontier.py OUT"
+    contest = Contest([Display.load(name) for name in PRESETS], [*CONTENDERS.items()], EFFORT, CPU)
+    compare(out, list(five_fields().values()), contest, "python benchmarks/frontier.py OUT")
+
+
+def arrival(out: Path) -> None:
+    fields = [each for name, each in five_fields().items() if name in ("toys_9x9", "mit_dragons")]
+    contest = Contest([Display.load("additive-3")], [*ARRIVING.items()], EFFORT, CPU)
+    compare(out, fields, contest, "python benchmarks/frontier.py OUT --arrival")
+
+
+def compare(out: Path, fields: list[LightField], contest: Contest, command: str) -> None:
     rows = bench_methods(out, fields, contest, command=command, tick=say)
     for title, table in [*standing_tables(rows), *reached_tables(rows)]:
         print(title)
@@ -71,8 +89,10 @@ def show(table: list[list[str]]) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("out", type=Path)
-    parser.add_argument("--scaling", action="store_true")
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--arrival", dest="run", action="store_const", const=arrival)
+    which.add_argument("--scaling", dest="run", action="store_const", const=scaling)
     parser.add_argument("--resume", action="store_true")
     given = parser.parse_args()
     open_folder(given.out, resume=given.resume, force=False)
-    (scaling if given.scaling else frontier)(given.out)
+    (given.run or frontier)(given.out)

@@ -25,7 +25,8 @@ from layerfield.panels import largest_code, quantise
 from layerfield.projection import Projection
 from layerfield.scenes import procedural_light_field
 from layerfield.solve import solve
-from layerfield.solvers.newton_admm import NewtonAdmm, NewtonState, slope
+from layerfield.solvers.newton_admm import NewtonAdmm, NewtonState
+from layerfield.solvers.slope import slope
 from layerfield.solvers.sweeps import Sweeps, best_layer
 from layerfield.synthesizer import SOLVERS
 from layerfield.transfer import NONE, Curve, Gamma, Srgb

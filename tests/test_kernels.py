@@ -21,7 +21,7 @@ from layerfield.kernels import compiled, sweep_passes, threads
 from layerfield.kernels.compiled import plain
 from layerfield.kernels.threads import in_threads
 from layerfield.solvers import ntf, sweeps
-from layerfield.solvers.newton_admm import slope
+from layerfield.solvers.slope import slope
 
 KEPT = ["codes", "codes of 16 bits", "linear light", "values", "a window of more"]
 

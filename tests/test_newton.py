@@ -6,7 +6,8 @@ import torch
 from layerfield import Display, Problem, procedural_light_field, solve, synthesize
 from layerfield.display_spec import parse_spec
 from layerfield.fast import shipped_steps, steps_for
-from layerfield.solvers.newton_admm import NewtonAdmm, scale_of, slope
+from layerfield.solvers.newton_admm import NewtonAdmm, scale_of
+from layerfield.solvers.slope import slope
 from layerfield.solvers.sweeps import Sweeps
 from layerfield.synthesizer import pose
 from layerfield.training.learned_steps import LearnedSteps, squares

@@ -11,8 +11,8 @@ from layerfield.kept_views import KeptViews
 from layerfield.panels import quantise
 from layerfield.pieces import Piece, pieces
 from layerfield.problem import Problem
-from layerfield.solvers.newton_admm import slope
 from layerfield.solvers.ntf import Ntf
+from layerfield.solvers.slope import slope
 from layerfield.solvers.sweeps import Sweeps
 from layerfield.warped_projection import WarpedProjection
 

@@ -62,6 +62,26 @@ class GridSystem(NamedTuple):
                 total += _banded(rows, self.columns, index, j, -1)
         return total
 
+    def settled(
+        self,
+        layers: Float[Tensor, "*batch layer c ly lx"],
+        seen: Float[Tensor, "*batch layer c ly lx"],
+        index: int,
+    ) -> Float[Tensor, "*batch c ly lx"]:
+        """Return one layer that answers to all others as they are, unclamped.
+
+            P_k + (b_k - sum_j (R_kj (x) C_kj) P_j) / A_k^T W A_k 1
+
+        Args:
+            layers: P.
+            seen: b = A^T W L.
+            index: k.
+        """
+        own, gains = layers[..., index, :, :, :], self.gains(index)
+        rest = seen[..., index, :, :, :] - self.brought(layers, index)
+        base = torch.where(gains > 0, 0, own) if self.alone[index] else own
+        return base + gains * rest
+
     def gains(self, index: int) -> Float[Tensor, "ly lx"]:
         """Return 1 / A_k^T W A_k 1 of a layer, 0 where nobody looks."""
         down, across = (torch.from_numpy(each.gains[index]) for each in (self.rows, self.columns))

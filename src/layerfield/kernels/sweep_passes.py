@@ -17,6 +17,7 @@ Layers = Float[Tensor, "*batch 1 layer c ly lx"]
 Subframes = Float[Tensor, "*batch subframe layer c ly lx"]
 One = Float[Tensor, "*batch 1 1 c ly lx"]
 
+_ALL = (-5, -4, -3, -2, -1)  # directions of the layers of a light field
 _ZERO = np.float32(0)
 _LEAST = np.float32(1e-12)  # curvature: one over less than that may be infinite
 
@@ -46,15 +47,20 @@ def move_layer_(
     _move_rows.in_spans(planes, index, *given, known, count=rows, numbers=numbers)
 
 
-def leads_uphill(ahead: Layers, layers: Layers, last: Layers) -> Bool[Tensor, "*batch 1 1 1 1 1"]:
+def leads_uphill(
+    ahead: Subframes, layers: Subframes, last: Subframes
+) -> Bool[Tensor, "*batch 1 1 1 1 1"]:
     """Return whether a sweep went back: whether (A - P) (P - P of one sweep ago) is above 0.
 
     Args:
-        ahead: A, where the sweep began.
+        ahead: A, where the sweep, or a step of gradients, began.
         layers: P, where it ended.
         last: where the one before it ended.
     """
-    seen = [_by_row(each) for each in (ahead, layers, last)]
+    given = ahead, layers, last
+    if not (serve(*given) and all(each.is_contiguous() for each in given)):
+        return ((ahead - layers) * (layers - last)).sum(dim=_ALL, keepdim=True) > 0
+    seen = [_by_row(each) for each in given]
     sums = np.empty(seen[0].shape[:2])
     _multiply_rows.in_spans(sums, *seen, count=sums.size, numbers=3 * layers.numel())
     found = torch.from_numpy(sums.sum(axis=1) > 0)

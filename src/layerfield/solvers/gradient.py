@@ -7,13 +7,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from layerfield.composition import compose_views
-from layerfield.grid_system import GridSystem
-from layerfield.kernels import grid_sweeps
+from layerfield.kernels import grid_sweeps, sweep_passes
 from layerfield.kernels.compiled import serve
 from layerfield.problem import Problem
-from layerfield.solvers.newton_admm import slope
-
-_ALL = (-5, -4, -3, -2, -1)  # directions of the layers of a light field
+from layerfield.solvers.slope import slope
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,22 +71,14 @@ def _descended(problem: Problem, ahead: Tensor, last: Tensor) -> tuple[Tensor, T
         seen, ahead, last = (x.contiguous() for x in (problem.back_projected, ahead, last))
         if serve(seen, ahead, last):
             return grid_sweeps.moved(grid, seen, ahead, last, problem.bounds)
-        moved = _moved_at_once(grid, seen, ahead)
+        every = range(problem.layer_count)
+        moved = torch.stack([grid.settled(ahead, seen, k) for k in every], dim=-4)
     else:
         share = problem.subframes / problem.link.steepest**2
         step = problem.constants.even_shares  # 1 / (K A_k^T W 1)
         moved = torch.addcmul(ahead, _gradient(problem, ahead), step, value=-share)
     layers = moved.clamp_(*problem.bounds)
-    return layers, ((ahead - layers) * (layers - last)).sum(dim=_ALL, keepdim=True) > 0
-
-
-def _moved_at_once(grid: GridSystem, seen: Tensor, ahead: Tensor) -> Tensor:
-    """Return all layers moved by the normal equations of a grid, unclamped."""
-    moved = [
-        ahead[..., k, :, :, :] + grid.gains(k) * (seen[..., k, :, :, :] - grid.brought(ahead, k))
-        for k in range(ahead.shape[-4])
-    ]
-    return torch.stack(moved, dim=-4)
+    return layers, sweep_passes.leads_uphill(ahead, layers, last)
 
 
 def _gradient(problem: Problem, layers: Tensor) -> Tensor:

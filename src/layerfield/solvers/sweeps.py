@@ -12,7 +12,6 @@ from layerfield.kernels.compiled import serve
 from layerfield.kernels.light_paths import Shares
 from layerfield.problem import Problem
 
-_ALL = (-5, -4, -3, -2, -1)  # directions of the layers of a light field
 _LEFT = Shares(shown=-1, light=1)  # what is to be shown, less what is
 _PASSES = 3  # through several subframes of a layer in a step; they cost nothing per view
 
@@ -98,10 +97,10 @@ def _swept(problem: Problem, state: SweepsState, *, exact: bool) -> tuple[Tensor
         for k in range(problem.layer_count):
             paths.add_up_(slope, layers, shares=_LEFT, second=curvature, only=k)
             sweep_passes.move_layer_(layers, k, slope, curvature, problem.bounds)
-        return layers, sweep_passes.leads_uphill(ahead, layers, state.layers)
-    for k in range(problem.layer_count):
-        layers[..., k, :, :, :] = best_layer(problem, layers, k)
-    return layers, ((ahead - layers) * (layers - state.layers)).sum(dim=_ALL, keepdim=True) > 0
+    else:
+        for k in range(problem.layer_count):
+            layers[..., k, :, :, :] = best_layer(problem, layers, k)
+    return layers, sweep_passes.leads_uphill(ahead, layers, state.layers)
 
 
 def best_layer(
@@ -131,10 +130,7 @@ def _best_of_grid(problem: Problem, grid: GridSystem, layers: Tensor, index: int
     seen = problem.back_projected
     if serve(layers, seen) and layers.is_contiguous() and seen.is_contiguous():
         return grid_sweeps.best_layer(grid, seen, layers, index, problem.bounds)
-    own, gains = layers[..., index, :, :, :], grid.gains(index)
-    rest = seen[..., index, :, :, :] - grid.brought(layers, index)
-    base = torch.where(gains > 0, 0, own) if grid.alone[index] else own
-    return (base + gains * rest).clamp(*problem.bounds)
+    return grid.settled(layers, seen, index).clamp(*problem.bounds)
 
 
 def _are_served(problem: Problem, *layers: Tensor) -> bool:

@@ -29,8 +29,9 @@ from layerfield.projection import sum_of
 from layerfield.solvers.admm_steps import OVERRELAXED, Constants, stride
 from layerfield.solvers.fourier_admm import dual_at_bounds
 from layerfield.solvers.learned_admm import BALANCE, SOFTEST, coarse_grid
-from layerfield.solvers.newton_admm import renews_scale, scale_of, slope
+from layerfield.solvers.newton_admm import renews_scale, scale_of
 from layerfield.solvers.relief import Relief
+from layerfield.solvers.slope import slope
 
 _FIRST = {"penalty": math.log(0.02), "relaxation": 1.6, "trust": 1.0, "kept": 0.6, "momentum": 0.0}
 _MOMENTUM = Constants._fields.index("momentum")

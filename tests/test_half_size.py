@@ -9,7 +9,7 @@ import torch
 from layerfield import Display, Problem, procedural_light_field, solve, synthesize
 from layerfield.display_spec import parse_spec
 from layerfield.fast import solver_for
-from layerfield.half_size import HalfState, at_half_size, at_whole_size, half_of
+from layerfield.half_size import Enlarged, HalfState, at_half_size, half_of
 from layerfield.kept_views import KeptViews
 from layerfield.kernels.compiled import plain
 from layerfield.solvers.learned_sweeps import LearnedSweeps
@@ -83,10 +83,10 @@ def test_means_of_pixels_and_the_way_back_are_what_pytorch_makes(kind, size):
     assert half is not None
     small = at_half_size(problem, half)
     change = noise(*small.layer_shape) - 0.5
-    found = at_whole_size(problem, half, change)
+    found = Enlarged(problem, half, change).layers
     with plain():
         known = at_half_size(problem, half)
-        expected = at_whole_size(problem, half, change)
+        expected = Enlarged(problem, half, change).layers
     torch.testing.assert_close(small.views.all(), known.views.all())
     torch.testing.assert_close(found, expected)
     assert found.shape == problem.layer_shape
@@ -120,7 +120,7 @@ def test_layers_of_half_size_lie_where_those_of_whole_size_do(text, size):
     for i, view in enumerate(small.views):
         inside = (small.view(known, i) - view)[..., 1:-1, 1:-1]
         torch.testing.assert_close(inside, torch.zeros_like(inside), atol=1e-6, rtol=0)
-    made = at_whole_size(problem, half, known) - problem.even_start()
+    made = Enlarged(problem, half, known).layers - problem.even_start()
     inside = (made - layers)[..., 3:-3, 3:-3]
     torch.testing.assert_close(inside, torch.zeros_like(inside), atol=1e-6, rtol=0)
 

@@ -17,7 +17,7 @@ from torch.nn.functional import conv2d, interpolate, pad
 
 from layerfield.kept_views import LARGEST, KeptViews
 from layerfield.kernels.compiled import serve
-from layerfield.kernels.halves import halved_views, refined_start
+from layerfield.kernels.halves import Refinement, halved_views, refined, refinement_of
 from layerfield.problem import Problem
 from layerfield.projection import Projection
 from layerfield.solve import OutlivesViews, State
@@ -97,20 +97,35 @@ def at_half_size(problem: Problem, half: Half) -> Problem:
     return replace(problem, projection=half.projection, views=views, weights=weights)
 
 
-def at_whole_size(
-    problem: Problem, half: Half, change: Float[Tensor, "*batch 1 layer c hy hx"]
-) -> Float[Tensor, "*batch 1 layer c ly lx"]:
-    """Return the balanced start and how layers of half size differ from theirs, interpolated.
+@dataclass(frozen=True, eq=False)
+class Enlarged:
+    """Layers of half size brought to whole size, where light adds up; made when asked for.
+
+        P = e + up(Q - e of half size),  with e the balanced start
 
     Args:
         problem: at its whole size.
         half: what it is at half size.
-        change: layers of half size less their balanced start.
+        change: Q - e of half size.
     """
-    seen = problem.back_projected
-    if serve(seen, change):
-        return refined_start(seen, *problem.even_shares, change, half.before)
-    return problem.even_start() + _twice(change, half.before, seen.shape)
+
+    problem: Problem
+    half: Half
+    change: Float[Tensor, "*batch 1 layer c hy hx"]
+
+    @property
+    def layers(self) -> Float[Tensor, "*batch 1 layer c ly lx"]:
+        """P, before it is clamped."""
+        seen = self.problem.back_projected
+        if serve(seen, self.change):
+            return refined(self.rows, seen.shape)
+        return self.problem.even_start() + _twice(self.change, self.half.before, seen.shape)
+
+    @property
+    def rows(self) -> Refinement:
+        """What compiled loops make P of, row by row."""
+        seen = self.problem.back_projected
+        return refinement_of(seen, *self.problem.even_shares, self.change, self.half.before)
 
 
 def at_whole_size_of_products(
@@ -135,7 +150,8 @@ def at_whole_size_of_products(
     law = _root_of_light(problem.views.table, number).to(layers)
     seen, (shares, rest) = codes.back_projected, codes.even_shares
     if serve(seen, ratio):
-        return refined_start(seen, number * shares, number * rest, ratio, half.before, law)
+        even = number * shares, number * rest
+        return refined(refinement_of(seen, *even, ratio, half.before, law), seen.shape)
     start = number * torch.where(shares > 0, seen * shares, rest)
     levels = (start * (len(law) - 1)).round().long().clamp(0, len(law) - 1)
     return law[levels] * _twice(ratio, half.before, seen.shape)

@@ -4,12 +4,14 @@ Codes are summed up as the whole numbers they are: exact, and with twice or four
 time as floats.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 import torch
 from jaxtyping import Float, Num
 from torch import Tensor
 
-from layerfield.kernels.compiled import compiled, is_plain
+from layerfield.kernels.compiled import compiled, is_plain, native
 
 
 def serve(codes: Tensor) -> bool:
@@ -39,36 +41,59 @@ def code_sums(
     seen = codes.contiguous().view(-1, *codes.shape[-4:]).numpy()
     made, held = result.view(-1, *result.shape[-4:]).numpy(), torch.zeros(1, dtype=dtype).numpy()
 
+    paths = _by_column(offsets)
+    units = np.float32(unit), np.float32(unit - float(np.float32(unit)))
     count = len(made) * channels * layer_size[0]
-    _add_rows.in_spans(made, seen, offsets, held, unit, count=count, numbers=seen.size)
+    _add_rows.in_spans(made, seen, paths, held, units, count=count, numbers=seen.size)
     return result
 
 
+class _Paths(NamedTuple):
+    """Light paths that end at one layer, those side by side that meet the same columns.
+
+    Args:
+        views: `[layer, n]`, where they begin.
+        rows: `[layer, n]`, row of the layer beneath the first of a view.
+        columns: likewise.
+    """
+
+    views: np.ndarray
+    rows: np.ndarray
+    columns: np.ndarray
+
+
+def _by_column(offsets: np.ndarray) -> _Paths:
+    rows, columns = offsets.transpose(2, 1, 0)
+    views = np.argsort(columns, axis=1, kind="stable")
+    sorted_rows, sorted_columns = (np.take_along_axis(x, views, axis=1) for x in (rows, columns))
+    return _Paths(views, sorted_rows, sorted_columns)
+
+
+_add_codes = native("layerfield.kernels.code_lanes", "add_codes")
+_to_light = native("layerfield.kernels.code_lanes", "to_light")
+
+
 @compiled
-def _add_rows(layers, views, offsets, held, unit, begin, end):
+def _add_rows(layers, views, paths, held, units, begin, end):
     """Rows of the layers, all layers together, channel by channel, from and to."""
     number, channels, height, width = layers.shape[1:]
-    sums = np.zeros(width, held.dtype)
+    count, rows, columns = paths.views.shape[1], views.shape[3], views.shape[4]
+    sums, found = np.zeros(width, held.dtype), np.empty(count, np.int64)
     for place in range(begin, end):
         item, rest = divmod(place, channels * height)
         channel, row = divmod(rest, height)
         for k in range(number):
             sums[:] = 0
-            for i in range(views.shape[1]):
-                y, x = row - offsets[i, k, 0], offsets[i, k, 1]
-                if 0 <= y < views.shape[3]:
-                    _add(sums[x : x + views.shape[4]], views[item, i, channel, y])
-            _finish(layers[item, k, channel, row], sums, unit)
-
-
-@compiled
-def _add(sums, codes):
-    for x in range(len(codes)):
-        sums[x] += codes[x]
-
-
-@compiled
-def _finish(row, sums, unit):
-    """In double precision, so that what is exact stays so."""
-    for x in range(len(row)):
-        row[x] = sums[x] * unit
+            beside = 0
+            for n in range(count):
+                i, y, x = paths.views[k, n], row - paths.rows[k, n], paths.columns[k, n]
+                if 0 <= y < rows:
+                    there = ((item * count + i) * channels + channel) * rows + y
+                    found[beside] = views.ctypes.data + there * columns * views.itemsize
+                    beside += 1
+                if beside > 0 and (n + 1 == count or paths.columns[k, n + 1] != x):
+                    to = sums.ctypes.data + x * sums.itemsize
+                    _add_codes(sums, views, to, found.ctypes.data, beside, columns)
+                    beside = 0
+            to = layers.ctypes.data + 4 * (((item * number + k) * channels + channel) * height + row) * width
+            _to_light(sums, to, sums.ctypes.data, units[0], units[1], width)

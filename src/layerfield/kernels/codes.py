@@ -81,4 +81,4 @@ def _round(codes, values, largest, begin, end):
     """Halves go to even numbers, as PyTorch has it."""
     seen, made = values[begin:end], codes[begin:end]
     for x in range(len(made)):
-        made[x] = np.int32(round(min(max(seen[x], np.float32(0)), np.float32(1)) * largest))
+        made[x] = np.int32(np.rint(min(max(seen[x], np.float32(0)), np.float32(1)) * largest))

@@ -1,6 +1,7 @@
 """Pictures of half the size, and what was found there brought back to the whole size."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -10,7 +11,7 @@ from torch import Tensor
 from layerfield.kernels.blends import planes_of
 from layerfield.kernels.codes import look_up
 from layerfield.kernels.compiled import compiled
-from layerfield.kernels.starts import even_of
+from layerfield.kernels.starts import Even, even_of
 
 
 def halved_views(
@@ -81,14 +82,32 @@ def _halve(made, plane, sums, share):
             to[x] = share * (outer + three * (sums[2 * x + 1] + sums[2 * x + 2]))
 
 
-def refined_start(
+class Refinement(NamedTuple):
+    """A balanced start and a change at half size, for compiled loops; see `refinement_of`.
+
+    Args:
+        seen: `[plane, ly, lx]`.
+        even: what makes the start of it.
+        change: `[plane, hy, hx]`.
+        before: pixels of whole size by which that begins before the layers.
+        law: of starts, or none.
+    """
+
+    seen: np.ndarray
+    even: Even
+    change: np.ndarray
+    before: tuple[int, int]
+    law: np.ndarray
+
+
+def refinement_of(
     seen: Float[Tensor, "*batch layer c ly lx"],
     shares: Float[Tensor, "layer 1 ly lx"],
     rest: Float[Tensor, "*batch 1 c 1 1"],
     change: Float[Tensor, "*batch layer c hy hx"],
     before: tuple[int, int],
     law: Float[Tensor, " level"] | None = None,
-) -> Float[Tensor, "*batch layer c ly lx"]:
+) -> Refinement:
     """Return a balanced start and, added to it, a change at half size, interpolated linearly.
 
     With a law, what it makes of the start, multiplied by the change.
@@ -101,12 +120,18 @@ def refined_start(
         before: pixels (y, x) of whole size by which it begins before the layers, 0 or 1.
         law: of starts from 0 to 1, at even steps.
     """
-    even, made = even_of(seen, shares, rest), torch.empty_like(seen)
-    planes, known = planes_of(made), planes_of(seen.contiguous())
-    changes, begins = planes_of(change.contiguous()), np.array(before)
+    planes = (planes_of(each.contiguous()) for each in (seen, change))
     levels = np.zeros(0, np.float32) if law is None else law.numpy()
-    given, count = (planes, known, even, changes, begins, levels), len(planes) * seen.shape[-2]
-    _refine.in_spans(*given, count=count, numbers=made.numel())
+    known, changes = planes
+    return Refinement(known, even_of(seen, shares, rest), changes, before, levels)
+
+
+def refined(refinement: Refinement, shape: Sequence[int]) -> Float[Tensor, "*batch layer c ly lx"]:
+    """Return what a refinement comes to."""
+    made = torch.empty(shape, dtype=torch.float32)
+    planes = planes_of(made)
+    count = len(planes) * shape[-2]
+    _refine.in_spans(planes, refinement, count=count, numbers=made.numel())
     return made
 
 
@@ -114,35 +139,46 @@ _NEAR, _FAR, _HALF = np.float32(0.75), np.float32(0.25), np.float32(0.5)
 
 
 @compiled
-def _refine(made, seen, even, change, before, law, begin, end):
-    """Rows of all planes; with a law they are multiplied, and added up without."""
-    _, height, width = made.shape
-    rows, columns = change.shape[1:]
-    layers, channels = len(even.shares), even.rest.shape[1]
-    beside = np.empty(columns + 2, np.float32)
-    wide = np.empty(2 * columns, np.float32)
+def _refine(made, given, begin, end):
+    """Rows of all planes, one after the other, from and to."""
+    height = made.shape[1]
+    beside, wide = room_to_refine(given)
     for n in range(begin, end):
         plane, y = divmod(n, height)
-        both, channel = divmod(plane, channels)
-        item, layer = divmod(both, layers)
-        here = (y + before[0]) // 2
-        other = min(max(here + 2 * ((y + before[0]) % 2) - 1, 0), rows - 1)
-        near, far = change[plane, here], change[plane, other]
-        for x in range(columns):
-            beside[x + 1] = _NEAR * near[x] + _FAR * far[x]
-        beside[0], beside[columns + 1] = beside[1], beside[columns]
-        for x in range(columns):
-            wide[2 * x] = _NEAR * beside[x + 1] + _FAR * beside[x]
-            wide[2 * x + 1] = _NEAR * beside[x + 1] + _FAR * beside[x + 2]
-        shares, light, to = even.shares[layer, y], seen[plane, y], made[plane, y]
-        rest, first = even.rest[item, channel], before[1]
-        if len(law) == 0:
-            for x in range(width):
-                start = shares[x] * light[x] if shares[x] > 0 else rest
-                to[x] = start + wide[x + first]
-        else:
-            most = np.float32(len(law) - 1)
-            for x in range(width):
-                start = shares[x] * light[x] if shares[x] > 0 else rest
-                level = min(max(start * most + _HALF, _HALF), most)
-                to[x] = law[np.int64(level)] * wide[x + first]
+        refine_row(made[plane, y], given, plane, y, beside, wide)
+
+
+@compiled
+def room_to_refine(given):
+    """Return what `refine_row` writes on."""
+    columns = given.change.shape[2]
+    return np.empty(columns + 2, np.float32), np.empty(2 * columns, np.float32)
+
+
+@compiled
+def refine_row(to, given, plane, y, beside, wide):
+    """Write a row; with a law start and change are multiplied, and added up without."""
+    rows, columns = given.change.shape[1:]
+    both, channel = divmod(plane, given.even.rest.shape[1])
+    item, layer = divmod(both, len(given.even.shares))
+    here, below = divmod(y + given.before[0], 2)
+    other = min(max(here + 2 * below - 1, 0), rows - 1)
+    near, far = given.change[plane, here], given.change[plane, other]
+    for x in range(columns):
+        beside[x + 1] = _NEAR * near[x] + _FAR * far[x]
+    beside[0], beside[columns + 1] = beside[1], beside[columns]
+    for x in range(columns):
+        wide[2 * x] = _NEAR * beside[x + 1] + _FAR * beside[x]
+        wide[2 * x + 1] = _NEAR * beside[x + 1] + _FAR * beside[x + 2]
+    shares, light = given.even.shares[layer, y], given.seen[plane, y]
+    rest, own = given.even.rest[item, channel], wide[given.before[1] :]
+    if len(given.law) == 0:
+        for x in range(len(to)):
+            start = shares[x] * light[x] if shares[x] > 0 else rest
+            to[x] = start + own[x]
+    else:
+        most = np.float32(len(given.law) - 1)
+        for x in range(len(to)):
+            start = shares[x] * light[x] if shares[x] > 0 else rest
+            level = min(max(start * most + _HALF, _HALF), most)
+            to[x] = given.law[np.int64(level)] * own[x]

@@ -70,6 +70,13 @@ class Lanes:
         given = values, there, ir.IntType(32)(size), chosen
         self._builder.call(self._masked("store", kind, called), given)
 
+    def fused(self, one: Any, other: Any, more: Any) -> Any:
+        """Return one times other, and more, of single precision, rounded once."""
+        kind = "f32" if self._count == 1 else f"v{self._count}f32"
+        called = ir.FunctionType(one.type, [one.type] * 3)
+        known = cgutils.get_or_insert_function(self._builder.module, called, f"llvm.fma.{kind}")
+        return self._builder.call(known, (one, other, more))
+
     def _masked(self, what: str, kind: Any, called: ir.FunctionType) -> Any:
         name = f"v{self._count}{kind.intrinsic_name}"
         return cgutils.get_or_insert_function(

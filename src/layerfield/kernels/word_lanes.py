@@ -20,7 +20,6 @@ _WORD, _INT, _FLOAT = ir.IntType(16), ir.IntType(32), ir.FloatType()
 _VECTORS = 4
 _ONE_BY_ONE = (1, WORDS), (1, 1)  # floats are as many as there are pixels
 _BITS = 16
-_POINT = 14  # binary places of a product that are dropped, and one that is rounded
 
 
 @intrinsic
@@ -78,30 +77,29 @@ def _adding(*given: Any, is_masked: bool) -> Any:
 def settle(_: Any, rows: Any, most: Any, count: Any) -> Any:
     """Write P = min(max(b - sum, 0) / views, most), and what is left of b where the sum was.
 
-    Rounded exactly: gains have too few places, and what views hardly see would grow from sweep to
-    sweep, or fade. Words without a gain stay.
+    Rounded exactly, see `_quotients` of `words`: what views hardly see would grow from sweep to
+    sweep otherwise, or fade. Words without a gain stay.
 
     Args:
-        rows: addresses of rows: P, b, the sum, views, and gains, parts of 2^15 of one over views.
+        rows: addresses of rows: P, b, the sum, halves, gains and powers.
         most: the largest P.
         count: of words, `WORDS` times a whole number.
     """
 
     def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
         rows, most, count = values
-        made, seen, total, views, gains = cgutils.unpack_tuple(builder, rows)
+        made, seen, total, *quotient = cgutils.unpack_tuple(builder, rows)
         limit = builder.trunc(most, _WORD)
         for lanes, (place,) in side_by_side(builder, count, (1, WORDS)):
-            light, shown, number, gain, own = (
-                lanes.read(row, place, _WORD) for row in (seen, total, views, gains, made)
+            light, shown, half, gain, power, own = (
+                lanes.read(row, place, _WORD) for row in (seen, total, *quotient, made)
             )
             zero, largest = lanes.constant(_WORD, 0), lanes.all(limit)
             more = builder.icmp_unsigned(">", light, shown)
             rest = builder.select(more, builder.sub(light, shown), zero)
             lanes.write(rest, total, place)
-            found = _rounded_product(builder, lanes, rest, gain)
-            beyond = builder.sub(rest, builder.mul(found, number))
-            found = builder.add(found, _rounded_product(builder, lanes, beyond, gain))
+            found = _high_product(builder, lanes, builder.add(rest, half), gain)
+            found = _high_product(builder, lanes, found, power)
             found = builder.select(builder.icmp_unsigned("<", found, largest), found, largest)
             is_seen = builder.icmp_unsigned("!=", gain, zero)
             lanes.write(builder.select(is_seen, found, own), made, place)
@@ -206,12 +204,11 @@ def to_light(_: Any, rows: Any, gain: Any, unit: Any, count: Any) -> Any:
     return kinds.intp(rows, gain, unit, count), generate
 
 
-def _rounded_product(builder: Any, lanes: Lanes, one: Any, other: Any) -> Any:
-    """Return the product of words with a sign over 2^15, rounded."""
-    wide = (builder.sext(each, lanes.of(_INT)) for each in (one, other))
-    halves = builder.ashr(builder.mul(*wide), lanes.constant(_INT, _POINT))
-    rounded = builder.add(halves, lanes.constant(_INT, 1))
-    return builder.trunc(builder.ashr(rounded, lanes.constant(_INT, 1)), lanes.of(_WORD))
+def _high_product(builder: Any, lanes: Lanes, one: Any, other: Any) -> Any:
+    """Return the product of words without a sign over 2^16, rounded down."""
+    wide = (builder.zext(each, lanes.of(_INT)) for each in (one, other))
+    whole = builder.lshr(builder.mul(*wide), lanes.constant(_INT, _BITS))
+    return builder.trunc(whole, lanes.of(_WORD))
 
 
 def _product(builder: Any, lanes: Lanes, one: Any, other: Any) -> tuple[Any, Any]:

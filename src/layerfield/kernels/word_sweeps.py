@@ -14,15 +14,21 @@ from jaxtyping import Float, UInt16
 from torch import Tensor
 
 from layerfield.kernels.compiled import compiled, native
+from layerfield.kernels.halves import Refinement, refine_row, room_to_refine
 from layerfield.kernels.parts import parts_of, row_at, steps_of
+from layerfield.kernels.starts import Even
 from layerfield.kernels.words import WORDS, Words
 
 Layers = Float[Tensor, "*batch 1 layer c ly lx"]
 
 _LOAD, _PUSH = -1, -2  # turns that are no layers
+_GIVEN, _REFINED = 1, 2  # what is loaded beside b
 _ONE = 2**15  # what shares are parts of
 _STRIDE = 40503  # golden section of 2^16: any number of sweeps round up evenly
 _AT_ONCE = 4  # sweeps: of more, parts would be few
+_NO_PLANES = np.zeros((0, 0, 0), np.float32)
+_NO_EVEN = Even(_NO_PLANES, np.zeros((0, 0), np.float32))
+_NOT_REFINED = Refinement(_NO_PLANES, _NO_EVEN, _NO_PLANES, (0, 0), np.zeros(0, np.float32))
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +47,7 @@ class LayerWords:
 def swept(
     words: Words,
     seen: Layers,
-    begun: Layers | LayerWords,
+    begun: Layers | LayerWords | Refinement,
     pushes: Sequence[float],
     made: int = 0,
 ) -> tuple[Layers, LayerWords]:
@@ -52,7 +58,8 @@ def swept(
     Args:
         words: the normal equations.
         seen: b, of views from 0 to 1; contiguous, of single precision, on a processor.
-        begun: where sweeps begin: words, or layers whose rows are contiguous, and then clamped.
+        begun: where sweeps begin: words, or layers whose rows are contiguous, and then clamped, or
+            what rows of those are made of.
         pushes: of sweeps, less than 1; the first of layers that are no words yet is 0.
         made: sweeps made before: each rounds in a way of its own.
 
@@ -63,7 +70,7 @@ def swept(
     *_, subframes, found, channels, ly, lx = seen.shape
     expected = 1, number, channels, height, words.shares.shape[1]
     layers = torch.empty_like(seen)
-    is_new = isinstance(begun, Tensor)
+    is_new = not isinstance(begun, LayerWords)
     source = begun if isinstance(begun, Tensor) else layers
     fits = seen.is_contiguous() and source.shape == seen.shape and source.stride(-1) == 1
     if (subframes, found, channels, ly, lx) != expected or not fits:
@@ -71,16 +78,18 @@ def swept(
     target = torch.empty((*seen.shape[:-1], words.width), dtype=torch.uint16)
     now, ago = (
         (torch.empty_like(target), torch.empty_like(target))
-        if isinstance(begun, Tensor)
+        if is_new
         else (begun.now.clone(), begun.ago.clone())
     )
     given = layers, seen, now, ago, target
     arrays = _Arrays(*(each.detach().flatten(end_dim=-5).numpy() for each in given))
     planes_of = source.detach().flatten(end_dim=-5).numpy()  # not to be let go before the end
     place = _Place(planes_of.ctypes.data, *planes_of.strides[:4])
+    refinement = begun if isinstance(begun, Refinement) else _NOT_REFINED
+    loads = 0 if not is_new else _GIVEN if isinstance(begun, Tensor) else _REFINED
     planes, reach = len(arrays.made) * channels, int(words.reach[0])
     for first in range(0, len(pushes), _AT_ONCE):
-        turns = [] if first > 0 else [(_LOAD, int(is_new), 0)]
+        turns = [] if first > 0 else [(_LOAD, loads, 0)]
         for n, push in enumerate(pushes[first : first + _AT_ONCE], first):
             turns += (
                 [(_PUSH, round(push * _ONE), (made + n) * _STRIDE % 2**16)]
@@ -91,7 +100,7 @@ def swept(
         parts, needs = parts_of(planes, height, reach, len(turns))
         passes, numbers = np.array(turns), len(turns) * layers.numel()
         _settle_parts.in_spans(
-            arrays, place, words, passes, parts, count=len(parts), numbers=numbers, needs=needs
+            arrays, (place, refinement), words, passes, parts, count=len(parts), numbers=numbers, needs=needs
         )
     return layers, LayerWords(now, ago)
 
@@ -129,17 +138,18 @@ class _Place(NamedTuple):
     rows: int
 
 
-class _Room(NamedTuple):
-    """What a thread has for a row; rows are given by their addresses.
-
-    To cut rows out of arrays would count who holds those.
+class _Kept(NamedTuple):
+    """What a thread has for a row.
 
     Args:
-        sums: over rows of each layer, with zeros on both sides.
+        sums: of words over rows of each layer, with zeros on both sides.
         total: of those over columns, then what is left of b.
         found: addresses of rows.
         across: `[3, layer, band]`, addresses of sums: on the left, where all look, on the right.
         masks: `[2, layer, band]`, addresses of masks, on the left and on the right.
+        light: of a layer, single precision.
+        beside: see `room_to_refine`.
+        wide: likewise.
     """
 
     sums: np.ndarray
@@ -147,16 +157,47 @@ class _Room(NamedTuple):
     found: np.ndarray
     across: np.ndarray
     masks: np.ndarray
+    light: np.ndarray
+    beside: np.ndarray
+    wide: np.ndarray
+
+
+class _Room(NamedTuple):
+    """Where that is: to hand arrays on for every row would count who holds them.
+
+    Args:
+        sums: address of the first layer's.
+        stride: bytes to those of the next.
+        total: address.
+        across: likewise.
+        masks: likewise.
+        bands: of a layer in both tables.
+    """
+
+    sums: int
+    stride: int
+    total: int
+    across: int
+    masks: int
+    bands: int
 
 
 @compiled
 def _settle_parts(arrays, begun, words, turns, parts, begin, end):
-    """Parts from and to, turn by turn; see `parts_of`.
+    """Parts from and to, turn by turn; see `parts_of`."""
+    _, refinement = begun
+    kept = _kept(words, arrays, refinement)
+    _settle_with(kept, _room(words, kept), arrays, begun, words, turns, parts, begin, end)
+
+
+@compiled
+def _settle_with(kept, room, arrays, begun, words, turns, parts, begin, end):
+    """The same, with what a thread has for a row.
 
     Turns make words of pictures, push words on, or find a layer, the last ones as a picture, too.
     """
     number, channels, height = arrays.seen.shape[1:4]
-    room, reach = _room(words), words.reach[0]
+    reach, found = words.reach[0], kept.found
     for part in range(begin, end):
         item, channel = divmod(parts[part, 0], channels)
         for step in range(*steps_of(parts, part, len(turns), reach)):
@@ -164,15 +205,16 @@ def _settle_parts(arrays, begun, words, turns, parts, begin, end):
                 y = row_at(parts, part, turn, step, reach)
                 if y < 0:
                     continue
-                what, share, last = turns[turn]
+                what, share, last = turns[turn, 0], turns[turn, 1], turns[turn, 2]
                 row, layer = (item * number * channels + channel) * height + y, channels * height
                 if what == _LOAD:
                     for j in range(number):
                         _load_light(arrays, words, row + j * layer)
-                        if share > 0:
-                            here = begun.address + item * begun.items + j * begun.layers
-                            here += channel * begun.channels + y * begun.rows
-                            _ask_for(here + begun.rows, 4 * arrays.seen.shape[4])
+                        if share == _REFINED:
+                            _refine(kept, arrays, begun[1], words, row + j * layer)
+                        elif share == _GIVEN:
+                            here = _place_of(begun[0], item, j, channel, y)
+                            _ask_for(here + begun[0].rows, 4 * arrays.seen.shape[4])
                             _load_layer(arrays, words, row + j * layer, here)
                 elif what == _PUSH:
                     for j in range(number):
@@ -183,7 +225,8 @@ def _settle_parts(arrays, begun, words, turns, parts, begin, end):
                         _push(both, share, last, words.most, words.width)
                 else:
                     for j in range(number):
-                        _add_rows(room, words, (what, j, y), arrays.now, row + j * layer)
+                        known = what, j, y
+                        _add_rows(found, room, words, known, arrays.now, row + j * layer)
                     _add_columns(room, words, what, words.row_counts[what, y] > 0)
                     _find(arrays, words, room, (what, y), row + what * layer, last > 0)
 
@@ -206,6 +249,21 @@ def _load_light(arrays, words, row):
 
 
 @compiled
+def _place_of(begun, item, layer, channel, y):
+    """Return where a row is."""
+    plane = begun.address + item * begun.items + layer * begun.layers + channel * begun.channels
+    return plane + y * begun.rows
+
+
+@compiled
+def _refine(kept, arrays, refinement, words, row):
+    """Make words of a row that is made of layers of half size."""
+    plane, y = divmod(row, arrays.seen.shape[3])
+    refine_row(kept.light, refinement, plane, y, kept.beside, kept.wide)
+    _load_layer(arrays, words, row, kept.light.ctypes.data)
+
+
+@compiled
 def _load_layer(arrays, words, row, here):
     """Make words of a row of a layer."""
     place, most = 2 * row * words.width, np.float32(words.most)
@@ -214,7 +272,7 @@ def _load_layer(arrays, words, row, here):
 
 
 @compiled
-def _add_rows(room, words, place, layers, row):
+def _add_rows(found, room, words, place, layers, row):
     """Add up the rows of layer j that views show together with row y of layer k.
 
     Row y of layer j is the one of this number among all.
@@ -223,42 +281,40 @@ def _add_rows(room, words, place, layers, row):
     for band in range(words.begins[0, k, j], words.begins[0, k, j + 1]):
         if words.row_is_seen[k, band, y]:
             there = row + words.offsets[0, k, band]
-            room.found[n] = layers.ctypes.data + 2 * there * words.width
+            found[n] = layers.ctypes.data + 2 * there * words.width
             n += 1
     if n > 0:
-        side = (room.sums.shape[1] - words.width) // 2
-        to = room.sums.ctypes.data + 2 * (j * room.sums.shape[1] + side)
-        _add_up(to, room.found.ctypes.data, n, words.width)
+        _add_up(room.sums + j * room.stride, found.ctypes.data, n, words.width)
 
 
 @compiled
 def _add_columns(room, words, k, is_seen):
     """Add up over columns; near both ends of a row not all views look."""
-    n, total, long = words.begins[1, k, -1], room.total.ctypes.data, words.width
-    left, right = words.inside[k]
+    n, total, long = words.begins[1, k, -1], room.total, words.width
+    left, right = words.inside[k, 0], words.inside[k, 1]
     if n > 0 and is_seen:
-        across, masks = room.across.ctypes.data, room.masks.ctypes.data
-        row, table = 8 * k * room.across.shape[2], 8 * room.across[0].size
-        _add_masked(total, across + row, masks + row, n, left)
-        _add_up(total + 2 * left, across + table + row, n, right - left)
-        to = total + 2 * right
-        _add_masked(to, across + 2 * table + row, masks + table + row, n, long - right)
+        row, layer = 8 * k * room.bands, 8 * room.bands * len(words.inside)
+        _add_masked(total, room.across + row, room.masks + row, n, left)
+        _add_up(total + 2 * left, room.across + layer + row, n, right - left)
+        to, across = total + 2 * right, room.across + 2 * layer
+        _add_masked(to, across + row, room.masks + layer + row, n, long - right)
     else:
-        room.total[:] = 0
+        _add_up(total, room.across, 0, long)
 
 
 @compiled
 def _find(arrays, words, room, place, row, is_last):
     """Find a row of a layer, as a picture, too, if nothing follows."""
-    (k, y), width, total = place, arrays.seen.shape[4], room.total.ctypes.data
+    (k, y), width, total = place, arrays.seen.shape[4], room.total
     count, here = words.row_counts[k, y], arrays.now.ctypes.data + 2 * row * words.width
     table = 2 * (count * words.gains.shape[1] + k) * words.width
     rows = (
         here,
         arrays.target.ctypes.data + 2 * row * words.width,
         total,
-        words.views.ctypes.data + table,
+        words.halves.ctypes.data + table,
         words.gains.ctypes.data + table,
+        words.powers.ctypes.data + table,
     )
     _settle(rows, words.most, words.width)
     if is_last:
@@ -269,8 +325,8 @@ def _find(arrays, words, room, place, row, is_last):
 
 
 @compiled
-def _room(words):
-    """Return what a thread has for a row."""
+def _kept(words, arrays, refinement):
+    """Return memory for a row."""
     number, bands = words.offsets.shape[1:]
     side = -(-words.reach[1] // WORDS) * WORDS
     sums = np.zeros((number, words.width + 2 * side), np.uint16)
@@ -285,4 +341,15 @@ def _room(words):
                 mask = words.masks.ctypes.data + 2 * (k * bands + band) * words.width
                 masks[0, k, band], masks[1, k, band] = mask, mask + 2 * right
     total, found = np.zeros(words.width, np.uint16), np.empty(bands, np.int64)
-    return _Room(sums, total, found, across, masks)
+    light = np.empty(arrays.seen.shape[4], np.float32)
+    beside, wide = room_to_refine(refinement)
+    return _Kept(sums, total, found, across, masks, light, beside, wide)
+
+
+@compiled
+def _room(words, kept):
+    """Return where that memory is."""
+    stride = 2 * kept.sums.shape[1]
+    first = kept.sums.ctypes.data + (stride - 2 * words.width) // 2
+    tables = kept.across.ctypes.data, kept.masks.ctypes.data
+    return _Room(first, stride, kept.total.ctypes.data, *tables, kept.across.shape[2])

@@ -4,6 +4,7 @@ Pixels are whole numbers from 0 to the largest whose sums over all views and lay
 is more than panels show where views are not very many: 1310 for 5x5 views and three layers.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,8 @@ from layerfield.grid_system import Bands, GridSystem
 WORDS = 32  # that go side by side; rows are as long as a multiple of them
 _LARGEST, _LARGEST_LIGHT = 2**16 - 1, 2**15 - 1  # of sums, and of light that is multiplied
 _FEWEST, _MOST = 255, 2**14 - 1  # of pixels: panels show so many; less than twice of it is a word
-_ONE = 2**15  # what gains are parts of
+_BITS = 16
+_ONE = 2**_BITS  # what gains and powers are parts of
 _NOISE = 1021  # places where a row may begin in it
 
 
@@ -29,8 +31,9 @@ class Words(NamedTuple):
         row_counts: `[layer, row]`, positions of viewers that see it.
         row_is_seen: `[layer, band, row]`, whether the row of the other layer is seen with it.
         masks: `[layer, band, column]`, all bits set where the other column is seen with it.
-        views: `[row count, layer, column]`, how many see a pixel.
-        gains: likewise, parts of 2^15 of one over that.
+        halves: `[row count, layer, column]`; with the next two, see `_quotients`.
+        gains: likewise, 0 where no view sees a pixel.
+        powers: likewise.
         shares: `[layer, column]`, one over how many positions see it; 0 where none does.
         inside: `[layer, 2]`, from which word to which all positions see columns.
         reach: the farthest offsets, of rows and of columns.
@@ -45,8 +48,9 @@ class Words(NamedTuple):
     row_counts: np.ndarray
     row_is_seen: np.ndarray
     masks: np.ndarray
-    views: np.ndarray
+    halves: np.ndarray
     gains: np.ndarray
+    powers: np.ndarray
     shares: np.ndarray
     inside: np.ndarray
     reach: np.ndarray
@@ -77,6 +81,7 @@ def words_of(system: GridSystem, weight: float) -> Words | None:
     masks = np.zeros((layers, bands, width), np.uint16)
     masks[:, : sides[1].shares.shape[1], :pixels] = np.where(sides[1].shares > 0, _LARGEST, 0)
     views_of = _views(counts[0], counts[1], width)
+    halves, gains, powers = _quotients(views_of)
     return Words(
         most,
         weight,
@@ -86,8 +91,9 @@ def words_of(system: GridSystem, weight: float) -> Words | None:
         counts[0],
         sides[0].shares > 0,
         masks,
-        views_of,
-        _gains(views_of),
+        halves,
+        gains,
+        powers,
         system.columns.gains,
         _inside(system.columns, width),
         np.array([each.reach for each in sides]),
@@ -102,10 +108,21 @@ def _views(rows: np.ndarray, columns: np.ndarray, width: int) -> np.ndarray:
     return made
 
 
-def _gains(views: np.ndarray) -> np.ndarray:
-    """Return 2^15 over views, 0 where there is none."""
-    found = np.divide(_ONE, views, out=np.zeros(views.shape), where=views > 0).round()
-    return found.clip(max=_LARGEST_LIGHT).astype(np.uint16)
+def _quotients(views: np.ndarray) -> Sequence[np.ndarray]:
+    """Return what tells x over n views, rounded, with two multiplications.
+
+        (x + half) gain / 2^16,  power / 2^16 of that,  both rounded down,
+
+    with power = 2^16 / 2^s, where n < 2^(s + 1) is the next power of two, and gain = 2^(16 + s) / n
+    rounded up. It is exact for x < 2^15 and n < 2^7: see Granlund and Montgomery, "Division by
+    invariant integers using multiplication", 1994. A factor of 2^16 is no word: 2^16 - 1 is the
+    same of a number larger by one.
+    """
+    number = views.astype(np.int64).clip(min=1)
+    power = _ONE >> np.floor(np.log2(number)).astype(np.int64)
+    gain = -(-_ONE * _ONE // (power * number))
+    found = [number // 2 + (gain == _ONE) + (power == _ONE), gain, power]
+    return [np.where(views > 0, each.clip(max=_ONE - 1), 0).astype(np.uint16) for each in found]
 
 
 def _inside(columns: Bands, width: int) -> np.ndarray:

@@ -7,8 +7,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.half_size import HalfState, at_half_size, at_whole_size, half_of
+from layerfield.half_size import Enlarged, HalfState, at_half_size, half_of
 from layerfield.kernels.compiled import is_plain
+from layerfield.kernels.halves import Refinement
 from layerfield.kernels.word_sweeps import LayerWords, swept
 from layerfield.kernels.words import Words
 from layerfield.links import Additive
@@ -122,37 +123,57 @@ class LearnedSweeps:
         at_half = isinstance(state, HalfState)
         return self.outer * (state.count + 1) if at_half else self.sweeps
 
-    def _begun(self, problem: Problem, state: HalfState | LearnedState | Unbegun) -> SweptState:
+    def _begun(
+        self, problem: Problem, state: HalfState | LearnedState | Unbegun
+    ) -> SweptState | Enlarged:
         """Return layers as they are before they are clamped."""
         if isinstance(state, HalfState):
             change = self.layers(state.problem, state.state) - state.problem.even_start()
-            return SweptState(at_whole_size(problem, state.half, change))
+            return Enlarged(problem, state.half, change)
         if isinstance(state, LearnedState) and state.after is None:
             return SweptState(problem.gram.from_torus(state.shadow))
         return SweptState(self.direct.layers(problem, state))
 
-    def _swept(self, problem: Problem, state: SweptState, count: int) -> SweptState:
+    def _swept(self, problem: Problem, state: SweptState | Enlarged, count: int) -> SweptState:
         """Return the state after so many sweeps more."""
-        words = problem.constants.words
-        enough = 0 if words is None else words.most // _ROUNDING
-        left = min(count, max(0, enough - state.count))
-        known = state if words is None or not left else self._in_words(problem, words, state, left)
+        words = None if is_plain() else problem.constants.words
+        if isinstance(state, Enlarged) and words is not None:
+            known = self._in_words(problem, words, state.rows, 0, min(count, _enough(words)))
+            return self._swept(problem, known, count - known.count)
+        if isinstance(state, Enlarged):
+            state = SweptState(state.layers)
+        left = min(count, max(0, _enough(problem.constants.words) - state.count))
+        if left > 0 and words is not None:
+            begun = state.words or state.layers
+            state = self._in_words(problem, words, begun, state.count, left)
+        elif left > 0:
+            state = _swept_plainly(problem, state, self._pushes(state.count, left))
         if left == count:
-            return known
+            return state
         sweeps = Sweeps(momentum=self.momentum, sweeps=count - left)
-        after = sweeps.step(problem, sweeps.init(problem, known.after or known.layers))
-        return SweptState(after.layers, state.count + count, after=after)
+        after = sweeps.step(problem, sweeps.init(problem, state.after or state.layers))
+        return SweptState(after.layers, state.count + count - left, after=after)
 
     def _in_words(
-        self, problem: Problem, words: Words, state: SweptState, count: int
+        self,
+        problem: Problem,
+        words: Words,
+        begun: Tensor | LayerWords | Refinement,
+        made: int,
+        count: int,
     ) -> SweptState:
-        numbers = range(state.count, state.count + count)
-        pushes = [min(self.momentum, self.growth * n / (n + 2)) for n in numbers]
-        if is_plain():
-            return _swept_plainly(problem, state, pushes)
-        begun = state.words or state.layers
-        layers, made = swept(words, problem.back_projected, begun, pushes, state.count)
-        return SweptState(layers, state.count + count, made)
+        pushes = self._pushes(made, count)
+        layers, known = swept(words, problem.back_projected, begun, pushes, made)
+        return SweptState(layers, made + count, known)
+
+    def _pushes(self, made: int, count: int) -> Sequence[float]:
+        numbers = range(made, made + count)
+        return [min(self.momentum, self.growth * n / (n + 2)) for n in numbers]
+
+
+def _enough(words: Words | None) -> int:
+    """Return how many sweeps words are fine enough for."""
+    return 0 if words is None else words.most // _ROUNDING
 
 
 def serves_words(problem: Problem) -> bool:

@@ -17,7 +17,14 @@ from torch.nn.functional import conv2d, interpolate, pad
 
 from layerfield.kept_views import LARGEST, KeptViews
 from layerfield.kernels.compiled import serve
-from layerfield.kernels.halves import Refinement, halved_views, refined, refinement_of
+from layerfield.kernels.halves import (
+    Refinement,
+    balanced,
+    halved_codes,
+    halved_views,
+    refined,
+    refinement_of,
+)
 from layerfield.problem import Problem
 from layerfield.projection import Projection
 from layerfield.solve import OutlivesViews, State
@@ -90,10 +97,15 @@ def at_half_size(problem: Problem, half: Half) -> Problem:
     """Return the problem of showing means of pixels on layers of half size.
 
     Those of 2x2 pixels would change with the first pixel: layers of a picture that moves by one
-    would move less alike.
+    would move less alike. Where light adds up codes stay such: they are summed up as whole numbers.
     """
     weights = tuple(problem.weights[n] for n in half.views)
-    views = KeptViews(_halved(problem.views, half.views))
+    views, stored = problem.views, problem.views.stored
+    are_codes = stored.dtype == torch.uint8 and views.table is None
+    if are_codes and problem.link.is_sum and serve(views.like):
+        views = KeptViews(halved_codes(stored, half.views))
+    else:
+        views = KeptViews(_halved(views, half.views))
     return replace(problem, projection=half.projection, views=views, weights=weights)
 
 
@@ -106,26 +118,31 @@ class Enlarged:
     Args:
         problem: at its whole size.
         half: what it is at half size.
-        change: Q - e of half size.
+        small: at half size.
+        found: Q.
     """
 
     problem: Problem
     half: Half
-    change: Float[Tensor, "*batch 1 layer c hy hx"]
+    small: Problem
+    found: Float[Tensor, "*batch 1 layer c hy hx"]
 
     @property
     def layers(self) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         """P, before it is clamped."""
         seen = self.problem.back_projected
-        if serve(seen, self.change):
+        if serve(seen, self.found):
             return refined(self.rows, seen.shape)
-        return self.problem.even_start() + _twice(self.change, self.half.before, seen.shape)
+        change = self.found - self.small.even_start()
+        return self.problem.even_start() + _twice(change, self.half.before, seen.shape)
 
     @property
     def rows(self) -> Refinement:
         """What compiled loops make P of, row by row."""
-        seen = self.problem.back_projected
-        return refinement_of(seen, *self.problem.even_shares, self.change, self.half.before)
+        start, less = (
+            balanced(each.back_projected, *each.even_shares) for each in (self.problem, self.small)
+        )
+        return refinement_of(start, self.found, self.half.before, less=less)
 
 
 def at_whole_size_of_products(
@@ -150,8 +167,8 @@ def at_whole_size_of_products(
     law = _root_of_light(problem.views.table, number).to(layers)
     seen, (shares, rest) = codes.back_projected, codes.even_shares
     if serve(seen, ratio):
-        even = number * shares, number * rest
-        return refined(refinement_of(seen, *even, ratio, half.before, law), seen.shape)
+        begun = balanced(seen, number * shares, number * rest)
+        return refined(refinement_of(begun, ratio, half.before, law=law), seen.shape)
     start = number * torch.where(shares > 0, seen * shares, rest)
     levels = (start * (len(law) - 1)).round().long().clamp(0, len(law) - 1)
     return law[levels] * _twice(ratio, half.before, seen.shape)

@@ -79,6 +79,7 @@ def _add_rows(layers, views, paths, held, units, begin, end):
     number, channels, height, width = layers.shape[1:]
     count, rows, columns = paths.views.shape[1], views.shape[3], views.shape[4]
     sums, found = np.zeros(width, held.dtype), np.empty(count, np.int64)
+    own, table, seen = sums.ctypes.data, found.ctypes.data, views.ctypes.data
     for place in range(begin, end):
         item, rest = divmod(place, channels * height)
         channel, row = divmod(rest, height)
@@ -89,11 +90,10 @@ def _add_rows(layers, views, paths, held, units, begin, end):
                 i, y, x = paths.views[k, n], row - paths.rows[k, n], paths.columns[k, n]
                 if 0 <= y < rows:
                     there = ((item * count + i) * channels + channel) * rows + y
-                    found[beside] = views.ctypes.data + there * columns * views.itemsize
+                    found[beside] = seen + there * columns * views.itemsize
                     beside += 1
                 if beside > 0 and (n + 1 == count or paths.columns[k, n + 1] != x):
-                    to = sums.ctypes.data + x * sums.itemsize
-                    _add_codes(sums, views, to, found.ctypes.data, beside, columns)
+                    _add_codes(sums, views, own + x * sums.itemsize, table, beside, columns)
                     beside = 0
-            to = layers.ctypes.data + 4 * (((item * number + k) * channels + channel) * height + row) * width
-            _to_light(sums, to, sums.ctypes.data, units[0], units[1], width)
+            there = ((item * number + k) * channels + channel) * height + row
+            _to_light(sums, layers.ctypes.data + 4 * there * width, own, units[0], units[1], width)

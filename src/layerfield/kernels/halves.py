@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float, Num
+from jaxtyping import Float, Num, UInt8, UInt16
 from torch import Tensor
 
 from layerfield.kernels.blends import planes_of
@@ -41,6 +41,54 @@ def halved_views(
         given = planes, known, which, np.float32(1 / 64), table.detach().numpy()
         _average_known.in_spans(*given, count=count, numbers=numbers)
     return made
+
+
+def halved_codes(
+    stored: UInt8[Tensor, "*batch view c y x"], chosen: Sequence[int]
+) -> UInt16[Tensor, "*batch some c hy hx"]:
+    """Return the same of 8-bit codes as codes of 16 bits, rounded.
+
+    255 64 is what all shares of a bright pixel come to, and 2^16 - 1 is that, four times and a 64th.
+    """
+    *batch, number, channels, height, width = stored.shape
+    size = len(chosen), channels, -(-height // 2), -(-width // 2)
+    made = torch.empty((*batch, *size), dtype=torch.uint16)
+    planes = made.view(-1, *size).numpy()
+    known = stored.contiguous().view(-1, number, channels, height, width).numpy()
+    given, count = (planes, known, np.array(chosen)), len(planes) * size[0]
+    _average_codes.in_spans(*given, count=count, numbers=made.numel())
+    return made
+
+
+@compiled
+def _average_codes(made, stored, chosen, begin, end):
+    height, width = stored.shape[3:]
+    sums = np.empty(width + 4 - width % 2, np.uint16)
+    pairs = sums.view(np.uint32)
+    for n in range(begin, end):
+        item, view = divmod(n, len(chosen))
+        for c in range(stored.shape[2]):
+            plane, to = stored[item, chosen[view], c], made[item, view, c]
+            for y in range(len(to)):
+                first, second = plane[max(2 * y - 1, 0)], plane[2 * y]
+                third, last = plane[min(2 * y + 1, height - 1)], plane[min(2 * y + 2, height - 1)]
+                for x in range(width):
+                    outer, inner = first[x] + last[x], second[x] + third[x]
+                    sums[x + 1] = outer + 3 * inner
+                sums[0], sums[width + 1], sums[width + 2] = sums[1], sums[width], sums[width]
+                _add_pairs(to[y], pairs)
+
+
+@compiled
+def _add_pairs(to, pairs):
+    """Write codes of the sums of four numbers, of shares 1, 3, 3, 1; two go in a pair."""
+    low, two, half, bits = np.uint32(2**16 - 1), np.uint32(2), np.uint32(32), np.uint32(6)
+    high, three = np.uint32(16), np.uint32(3)
+    for x in range(len(to)):
+        left, right = pairs[x], pairs[x + 1]
+        outer = np.uint32((left & low) + (right >> high))
+        total = np.uint32(outer + three * ((left >> high) + (right & low)))
+        to[x] = (total << two) + ((total + half) >> bits)
 
 
 @compiled
@@ -82,48 +130,77 @@ def _halve(made, plane, sums, share):
             to[x] = share * (outer + three * (sums[2 * x + 1] + sums[2 * x + 2]))
 
 
-class Refinement(NamedTuple):
-    """A balanced start and a change at half size, for compiled loops; see `refinement_of`.
+class Balanced(NamedTuple):
+    """A balanced start, for compiled loops.
 
     Args:
-        seen: `[plane, ly, lx]`.
+        seen: `[plane, y, x]`.
         even: what makes the start of it.
-        change: `[plane, hy, hx]`.
-        before: pixels of whole size by which that begins before the layers.
-        law: of starts, or none.
     """
 
     seen: np.ndarray
     even: Even
-    change: np.ndarray
+
+
+class Refinement(NamedTuple):
+    """A balanced start and a change at half size, for compiled loops; see `refinement_of`.
+
+    Args:
+        start: that start.
+        layers: `[plane, hy, hx]`.
+        less: the balanced start of those, taken away from them; or of no rows.
+        before: pixels of whole size by which they begin before the others.
+        law: of starts, or none.
+    """
+
+    start: Balanced
+    layers: np.ndarray
+    less: Balanced
     before: tuple[int, int]
     law: np.ndarray
 
 
-def refinement_of(
+_NO_PLANES = np.zeros((0, 0, 0), np.float32)
+NOTHING = Balanced(_NO_PLANES, Even(_NO_PLANES, np.zeros((0, 0), np.float32)))
+NOT_REFINED = Refinement(NOTHING, _NO_PLANES, NOTHING, (0, 0), np.zeros(0, np.float32))
+
+
+def balanced(
     seen: Float[Tensor, "*batch layer c ly lx"],
     shares: Float[Tensor, "layer 1 ly lx"],
     rest: Float[Tensor, "*batch 1 c 1 1"],
-    change: Float[Tensor, "*batch layer c hy hx"],
-    before: tuple[int, int],
-    law: Float[Tensor, " level"] | None = None,
-) -> Refinement:
-    """Return a balanced start and, added to it, a change at half size, interpolated linearly.
-
-    With a law, what it makes of the start, multiplied by the change.
+) -> Balanced:
+    """Return a balanced start for compiled loops.
 
     Args:
         seen: of single precision, on a processor, as all others.
         shares: what to multiply it by; where that is 0
         rest: is taken.
-        change: as far as the layers and no less; goes on at its edges.
-        before: pixels (y, x) of whole size by which it begins before the layers, 0 or 1.
+    """
+    return Balanced(planes_of(seen.contiguous()), even_of(seen, shares, rest))
+
+
+def refinement_of(
+    start: Balanced,
+    layers: Float[Tensor, "*batch layer c hy hx"],
+    before: tuple[int, int],
+    *,
+    less: Balanced = NOTHING,
+    law: Float[Tensor, " level"] | None = None,
+) -> Refinement:
+    """Return a start and, added to it, layers of half size, interpolated linearly.
+
+    With a law, what it makes of the start, multiplied by them.
+
+    Args:
+        start: of whole size.
+        layers: as far as those of whole size and no less; they go on at their edges.
+        before: pixels (y, x) of whole size by which they begin before those, 0 or 1.
+        less: what is taken away from them first.
         law: of starts from 0 to 1, at even steps.
     """
-    planes = (planes_of(each.contiguous()) for each in (seen, change))
-    levels = np.zeros(0, np.float32) if law is None else law.numpy()
-    known, changes = planes
-    return Refinement(known, even_of(seen, shares, rest), changes, before, levels)
+    levels = NOT_REFINED.law if law is None else law.numpy()
+    return Refinement(start, planes_of(layers.contiguous()), less, before, levels)
 
 
 def refined(refinement: Refinement, shape: Sequence[int]) -> Float[Tensor, "*batch layer c ly lx"]:
@@ -151,27 +228,29 @@ def _refine(made, given, begin, end):
 @compiled
 def room_to_refine(given):
     """Return what `refine_row` writes on."""
-    columns = given.change.shape[2]
+    columns = given.layers.shape[2]
     return np.empty(columns + 2, np.float32), np.empty(2 * columns, np.float32)
 
 
 @compiled
 def refine_row(to, given, plane, y, beside, wide):
-    """Write a row; with a law start and change are multiplied, and added up without."""
-    rows, columns = given.change.shape[1:]
-    both, channel = divmod(plane, given.even.rest.shape[1])
-    item, layer = divmod(both, len(given.even.shares))
+    """Write a row; with a law start and layers are multiplied, and added up without."""
+    rows, columns = given.layers.shape[1:]
     here, below = divmod(y + given.before[0], 2)
     other = min(max(here + 2 * below - 1, 0), rows - 1)
-    near, far = given.change[plane, here], given.change[plane, other]
+    near, far = given.layers[plane, here], given.layers[plane, other]
     for x in range(columns):
         beside[x + 1] = _NEAR * near[x] + _FAR * far[x]
+    if len(given.less.seen) > 0:
+        _take_away(beside, given.less, plane, here, _NEAR)
+        _take_away(beside, given.less, plane, other, _FAR)
     beside[0], beside[columns + 1] = beside[1], beside[columns]
     for x in range(columns):
         wide[2 * x] = _NEAR * beside[x + 1] + _FAR * beside[x]
         wide[2 * x + 1] = _NEAR * beside[x + 1] + _FAR * beside[x + 2]
-    shares, light = given.even.shares[layer, y], given.seen[plane, y]
-    rest, own = given.even.rest[item, channel], wide[given.before[1] :]
+    layer, rest = _of_plane(given.start.even, plane)
+    shares, light = given.start.even.shares[layer, y], given.start.seen[plane, y]
+    own = wide[given.before[1] :]
     if len(given.law) == 0:
         for x in range(len(to)):
             start = shares[x] * light[x] if shares[x] > 0 else rest
@@ -182,3 +261,21 @@ def refine_row(to, given, plane, y, beside, wide):
             start = shares[x] * light[x] if shares[x] > 0 else rest
             level = min(max(start * most + _HALF, _HALF), most)
             to[x] = given.law[np.int64(level)] * own[x]
+
+
+@compiled
+def _take_away(beside, less, plane, y, factor):
+    """Subtract a row of a balanced start, times a factor."""
+    layer, rest = _of_plane(less.even, plane)
+    shares, light = less.even.shares[layer, y], less.seen[plane, y]
+    for x in range(len(light)):
+        start = shares[x] * light[x] if shares[x] > 0 else rest
+        beside[x + 1] -= factor * start
+
+
+@compiled
+def _of_plane(even, plane):
+    """Return the layer of a plane, and what its pixels take that nobody sees."""
+    both, channel = divmod(plane, even.rest.shape[1])
+    item, layer = divmod(both, len(even.shares))
+    return layer, even.rest[item, channel]

@@ -99,10 +99,12 @@ def settle(_: Any, rows: Any, most: Any, count: Any) -> Any:
             rest = builder.select(more, builder.sub(light, shown), zero)
             lanes.write(rest, total, place)
             found = _high_product(builder, lanes, builder.add(rest, half), gain)
+            is_seen = builder.icmp_unsigned("!=", gain, zero)
+            kept = builder.add(own, lanes.constant(_WORD, 1))  # as if it had been multiplied once
+            found = builder.select(is_seen, found, kept)
             found = _high_product(builder, lanes, found, power)
             found = builder.select(builder.icmp_unsigned("<", found, largest), found, largest)
-            is_seen = builder.icmp_unsigned("!=", gain, zero)
-            lanes.write(builder.select(is_seen, found, own), made, place)
+            lanes.write(found, made, place)
         return WHOLE(0)
 
     return kinds.intp(rows, most, count), generate

@@ -14,9 +14,8 @@ from jaxtyping import Float, UInt16
 from torch import Tensor
 
 from layerfield.kernels.compiled import compiled, native
-from layerfield.kernels.halves import Refinement, refine_row, room_to_refine
+from layerfield.kernels.halves import NOT_REFINED, Refinement, refine_row, room_to_refine
 from layerfield.kernels.parts import parts_of, row_at, steps_of
-from layerfield.kernels.starts import Even
 from layerfield.kernels.words import WORDS, Words
 
 Layers = Float[Tensor, "*batch 1 layer c ly lx"]
@@ -26,9 +25,6 @@ _GIVEN, _REFINED = 1, 2  # what is loaded beside b
 _ONE = 2**15  # what shares are parts of
 _STRIDE = 40503  # golden section of 2^16: any number of sweeps round up evenly
 _AT_ONCE = 4  # sweeps: of more, parts would be few
-_NO_PLANES = np.zeros((0, 0, 0), np.float32)
-_NO_EVEN = Even(_NO_PLANES, np.zeros((0, 0), np.float32))
-_NOT_REFINED = Refinement(_NO_PLANES, _NO_EVEN, _NO_PLANES, (0, 0), np.zeros(0, np.float32))
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +81,7 @@ def swept(
     arrays = _Arrays(*(each.detach().flatten(end_dim=-5).numpy() for each in given))
     planes_of = source.detach().flatten(end_dim=-5).numpy()  # not to be let go before the end
     place = _Place(planes_of.ctypes.data, *planes_of.strides[:4])
-    refinement = begun if isinstance(begun, Refinement) else _NOT_REFINED
+    refinement = begun if isinstance(begun, Refinement) else NOT_REFINED
     loads = 0 if not is_new else _GIVEN if isinstance(begun, Tensor) else _REFINED
     planes, reach = len(arrays.made) * channels, int(words.reach[0])
     for first in range(0, len(pushes), _AT_ONCE):
@@ -278,10 +274,11 @@ def _add_rows(found, room, words, place, layers, row):
     Row y of layer j is the one of this number among all.
     """
     (k, j, y), n = place, 0
+    first = layers.ctypes.data
     for band in range(words.begins[0, k, j], words.begins[0, k, j + 1]):
         if words.row_is_seen[k, band, y]:
             there = row + words.offsets[0, k, band]
-            found[n] = layers.ctypes.data + 2 * there * words.width
+            found[n] = first + 2 * there * words.width
             n += 1
     if n > 0:
         _add_up(room.sums + j * room.stride, found.ctypes.data, n, words.width)

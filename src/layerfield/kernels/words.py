@@ -116,13 +116,14 @@ def _quotients(views: np.ndarray) -> Sequence[np.ndarray]:
     with power = 2^16 / 2^s, where n < 2^(s + 1) is the next power of two, and gain = 2^(16 + s) / n
     rounded up. It is exact for x < 2^15 and n < 2^7: see Granlund and Montgomery, "Division by
     invariant integers using multiplication", 1994. A factor of 2^16 is no word: 2^16 - 1 is the
-    same of a number larger by one.
+    same of a number larger by one. Where there are no views power alone is 1.
     """
     number = views.astype(np.int64).clip(min=1)
     power = _ONE >> np.floor(np.log2(number)).astype(np.int64)
     gain = -(-_ONE * _ONE // (power * number))
-    found = [number // 2 + (gain == _ONE) + (power == _ONE), gain, power]
-    return [np.where(views > 0, each.clip(max=_ONE - 1), 0).astype(np.uint16) for each in found]
+    halves = number // 2 + (gain == _ONE) + (power == _ONE)
+    found = halves, np.where(views > 0, gain, 0), np.where(views > 0, power, _ONE)
+    return [each.clip(max=_ONE - 1).astype(np.uint16) for each in found]
 
 
 def _inside(columns: Bands, width: int) -> np.ndarray:

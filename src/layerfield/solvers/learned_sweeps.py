@@ -128,8 +128,8 @@ class LearnedSweeps:
     ) -> SweptState | Enlarged:
         """Return layers as they are before they are clamped."""
         if isinstance(state, HalfState):
-            change = self.layers(state.problem, state.state) - state.problem.even_start()
-            return Enlarged(problem, state.half, change)
+            found = self.layers(state.problem, state.state)
+            return Enlarged(problem, state.half, state.problem, found)
         if isinstance(state, LearnedState) and state.after is None:
             return SweptState(problem.gram.from_torus(state.shadow))
         return SweptState(self.direct.layers(problem, state))

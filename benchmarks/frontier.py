@@ -1,8 +1,8 @@
 """Quality against time on the five light fields, when each method arrives, and how time grows.
 
-    python benchmarks/frontier.py OUT [--resume]
-    python benchmarks/frontier.py OUT --arrival [--resume]
-    python benchmarks/frontier.py OUT --scaling [--resume]
+    python benchmarks/frontier.py OUT [--resume | --force]
+    python benchmarks/frontier.py OUT --arrival [--resume | --force]
+    python benchmarks/frontier.py OUT --scaling [--resume | --force]
 
 The same as `layerfield bench`, which reads all light fields alike; these five want options of their
 own. OUT is a folder with bench.json (or scaling.json) and figures. With --arrival methods for light
@@ -57,7 +57,7 @@ def frontier(out: Path) -> None:
 
 
 def arrival(out: Path) -> None:
-    fields = [each for name, each in five_fields().items() if name in ("toys_9x9", "mit_dragons")]
+    fields = [*five_fields("toys_9x9", "mit_dragons").values()]
     contest = Contest([Display.load("additive-3")], [*ARRIVING.items()], EFFORT, CPU)
     compare(out, fields, contest, "python benchmarks/frontier.py OUT --arrival")
 
@@ -92,7 +92,12 @@ if __name__ == "__main__":
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--arrival", dest="run", action="store_const", const=arrival)
     which.add_argument("--scaling", dest="run", action="store_const", const=scaling)
-    parser.add_argument("--resume", action="store_true")
+    how = parser.add_mutually_exclusive_group()
+    how.add_argument("--resume", action="store_true", help="go on where an earlier run ended")
+    how.add_argument("--force", action="store_true", help="replace an earlier run")
     given = parser.parse_args()
-    open_folder(given.out, resume=given.resume, force=False)
-    (given.run or frontier)(given.out)
+    try:
+        open_folder(given.out, resume=given.resume, force=given.force)
+        (given.run or frontier)(given.out)
+    except ValueError as error:
+        parser.error(str(error))

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
@@ -11,7 +12,7 @@ from layerfield.fast import solver_for
 from layerfield.kept_views import KeptViews
 from layerfield.kernels import word_sweeps
 from layerfield.kernels.compiled import plain
-from layerfield.kernels.words import WORDS
+from layerfield.kernels.words import WORDS, _quotients
 from layerfield.solvers.fourier_admm import FourierAdmm
 from layerfield.solvers.learned_sweeps import LearnedSweeps, SweptState, serves_words
 from layerfield.solvers.sweeps import Sweeps
@@ -133,6 +134,18 @@ def test_rounding_does_not_add_up(field, monkeypatch):
     layers = solver.layers(problem, state)
     assert problem.mean_square_error(layers) < 1.001 * problem.mean_square_error(best)
     assert (layers - best).abs().mean() < 4 / words.most
+
+
+def test_quotients_are_exact():
+    """Of all numbers of 15 bits over as many views as words serve; over none they stay."""
+    views = np.arange(1, 129, dtype=np.uint16)
+    number = np.arange(2**15)[:, None]
+    half, gain, power = (each.astype(np.int64) for each in _quotients(views))
+    found = ((number + half) * gain >> 16) * power >> 16
+    np.testing.assert_array_equal(found, (2 * number + views) // (2 * views.astype(np.int64)))
+    half, gain, power = (each.astype(np.int64) for each in _quotients(np.zeros(1, np.uint16)))
+    assert gain == 0
+    np.testing.assert_array_equal((number + 1) * power >> 16, number)
 
 
 def test_coarse_words_come_to_the_optimum_too():

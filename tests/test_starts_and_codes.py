@@ -71,3 +71,18 @@ def test_the_mean_of_what_codes_stand_for(dtype, largest, batch):
     assert start.shape == problem.layer_shape
     with plain():
         torch.testing.assert_close(start, problem.flat_start())
+
+
+@pytest.mark.parametrize(("dtype", "largest"), [(torch.uint8, 255), (torch.uint16, 65535)])
+@pytest.mark.parametrize("text", ["[2, 0, -1]", "[1, 0]"])
+def test_sums_of_codes_are_those_of_pytorch(dtype, largest, text):
+    """Of whole numbers they are exact: what is white is as white as there are views."""
+    shown = f'name = "d"\nlink = "additive"\nviews = [3, 5]\ndisparity = {text}'
+    display = Display(parse_spec(shown, "a test"))
+    views = torch.randint(0, largest + 1, (2, 15, 3, 21, 75)).to(dtype)
+    views[0] = largest
+    found = Problem.of(display, views).back_projected
+    with plain():
+        expected = Problem.of(display, views).back_projected
+    torch.testing.assert_close(found, expected, rtol=1e-7, atol=0)
+    assert found[0].amax() == 15

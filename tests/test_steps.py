@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from importlib import import_module
 from inspect import isclass
 from pathlib import Path
@@ -26,9 +27,11 @@ from layerfield.solve import MultiStep, solve
 from layerfield.solvers import admm_steps, learned_admm
 from layerfield.solvers.fourier_admm import FourierAdmm
 
+LONG = shipped_steps("additive").at_most(8).direct
 SOLVERS = {
     "direct": FourierAdmm(),
     "learned": shipped_steps("additive").at_most(5).direct,
+    "eased": replace(LONG, full=LONG.full[:1], is_eased=True),
     "warm": warm_steps(4),
 }
 

@@ -1,6 +1,7 @@
 """A^T W L, all that a sum link needs to know of the views, from views of 8 bit."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -53,13 +54,19 @@ def back_projected(
     return layers
 
 
+@lru_cache
+def _paths_of(projection: Projection) -> code_sums.Paths:
+    offsets = [[taps[0][:2] for taps in layers] for layers in projection.taps]
+    return code_sums.paths_of(np.array(offsets))
+
+
 def _summed(projection: Projection, views: KeptViews, dtype: torch.dtype, weight: float) -> Tensor:
     """A^T of codes for shifts of whole pixels, in whole numbers, then of what they stand for."""
     largest = LARGEST[views.stored.dtype]
     if code_sums.serve(views.stored):
-        offsets = np.array([[taps[0][:2] for taps in layers] for layers in projection.taps])
         size = projection.layer_size(views.stored)
-        return code_sums.code_sums(views.stored, offsets, size, dtype, weight / largest)
+        paths, unit = _paths_of(projection), weight / largest
+        return code_sums.code_sums(views.stored, paths, size, dtype, unit)
     layers = _none(projection, views, dtype)
     for piece in pieces(projection, views):
         codes, part = piece.of_views(views).stored, piece.of_layers(layers).unbind(dim=-4)

@@ -68,11 +68,6 @@ class DisplayConstants:
             return shares.masked_fill_(coverage <= 0, 0)
 
     @cached_property
-    def has_dark(self) -> bool:
-        """Whether there are pixels that nobody sees."""
-        return bool((self.coverage <= 0).any())
-
-    @cached_property
     def mean_share(self) -> float:
         """What the light of all pixels of one layer, A^T W L, is multiplied by for their mean."""
         return 1 / (len(self.coverage) * self.coverage[0].sum().item())

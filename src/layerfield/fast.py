@@ -47,7 +47,7 @@ _KEY = "layerfield"  # of the metadata
 _FAR, _FAR_OF_PRODUCTS = 24, 28  # unknowns that the matrix of a row reaches
 _STEPS = 4  # unless told otherwise
 _SWEEPS = 2  # of an iteration, where they are quick: better than a Newton step, and sooner
-_BEFORE_WORDS = 2  # learned steps at the most, where sweeps of words follow
+_LONGEST = 8  # steps whose first is the only one before sweeps of words
 _FEW = 4  # layers; of more, what half size tells is less, and sweeps of whole size are more
 
 
@@ -220,7 +220,7 @@ def solver_for(problem: Problem, count: int) -> Solver:
         return RowNewton() if problem.link.is_sum else RowGaussNewton()
     solver = steps_for(problem).solver(count)
     if isinstance(solver, LearnedAdmm) and serves_words(problem):
-        return _with_sweeps(problem, count)
+        return _with_sweeps(problem)
     if not isinstance(solver, FourierNewton):
         return solver
     if not takes_sweeps(problem):
@@ -230,11 +230,13 @@ def solver_for(problem: Problem, count: int) -> Solver:
     return replace(solver.start, refine=Sweeps(sweeps=_SWEEPS))
 
 
-def _with_sweeps(problem: Problem, count: int) -> LearnedSweeps:
-    """Return what sweeps in words; at half size there are two steps however few iterations."""
-    is_halved = half_of(problem) is not None
-    steps = _BEFORE_WORDS if is_halved else min(count, _BEFORE_WORDS)
-    solver = LearnedSweeps(steps_for(problem).at_most(steps).direct)
+def _with_sweeps(problem: Problem) -> LearnedSweeps:
+    """Return what sweeps in words: behind the first step of several, however few iterations.
+
+    That goes farthest. Those behind it would do no more than sweeps do, and cost as much as twenty.
+    """
+    known = steps_for(problem).at_most(_LONGEST).direct
+    solver = LearnedSweeps(replace(known, full=known.full[:1], is_eased=True))
     return solver if problem.layer_count <= _FEW else replace(solver, early=3, inner=2, outer=4)
 
 

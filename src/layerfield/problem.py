@@ -176,20 +176,16 @@ class Problem:
             total += weight * residual.double().square().mean().item()
         return total / sum(self.weights)
 
-    @property
+    @cached_property
     def even_shares(
         self,
     ) -> tuple[Float[Tensor, "layer 1 ly lx"], Float[Tensor, "*batch 1 1 c 1 1"]]:
         """What A^T W L is multiplied by for the balanced start, and what is taken where that is 0.
 
-        The mean of the views is that of the first layer's light over its coverage. Where all pixels
-        are seen it is not needed, and 0.
+        The mean of the views is that of the first layer's light over its coverage.
         """
         first = self.back_projected[..., :1, :, :, :]
-        if self.constants.has_dark:
-            rest = first.sum(dim=(-2, -1), keepdim=True) * self.constants.mean_share
-        else:
-            rest = first.new_zeros(*first.shape[:-2], 1, 1)
+        rest = first.sum(dim=(-2, -1), keepdim=True) * self.constants.mean_share
         return self.constants.even_shares, rest
 
     def even_start(

@@ -14,41 +14,7 @@ from torch import Tensor
 from layerfield.kernels.compiled import compiled, is_plain, native
 
 
-def serve(codes: Tensor) -> bool:
-    """Whether `code_sums` can be called: on a processor."""
-    return codes.device.type == "cpu" and not is_plain()
-
-
-def code_sums(
-    codes: Num[Tensor, "*batch view c y x"],
-    offsets: np.ndarray,
-    layer_size: tuple[int, int],
-    dtype: torch.dtype,
-    unit: float,
-) -> Float[Tensor, "*batch layer c ly lx"]:
-    """Return the sum over views of codes, each moved as a layer lies beneath it.
-
-    Args:
-        codes: whole numbers.
-        offsets: `[view, layer, 2]`, row and column of a layer beneath the first pixel of a view.
-        layer_size: rows and columns of the layers.
-        dtype: whole numbers that hold the sums.
-        unit: what code 1 stands for.
-    """
-    *batch, _, channels, _, _ = codes.shape
-    shape = (*batch, offsets.shape[1], channels, *layer_size)
-    result = torch.empty(shape, dtype=torch.float32)
-    seen = codes.contiguous().view(-1, *codes.shape[-4:]).numpy()
-    made, held = result.view(-1, *result.shape[-4:]).numpy(), torch.zeros(1, dtype=dtype).numpy()
-
-    paths = _by_column(offsets)
-    units = np.float32(unit), np.float32(unit - float(np.float32(unit)))
-    count = len(made) * channels * layer_size[0]
-    _add_rows.in_spans(made, seen, paths, held, units, count=count, numbers=seen.size)
-    return result
-
-
-class _Paths(NamedTuple):
+class Paths(NamedTuple):
     """Light paths that end at one layer, those side by side that meet the same columns.
 
     Args:
@@ -62,11 +28,49 @@ class _Paths(NamedTuple):
     columns: np.ndarray
 
 
-def _by_column(offsets: np.ndarray) -> _Paths:
+def paths_of(offsets: np.ndarray) -> Paths:
+    """Return light paths in the order of the columns that they meet.
+
+    Args:
+        offsets: `[view, layer, 2]`, row and column of a layer beneath the first pixel of a view.
+    """
     rows, columns = offsets.transpose(2, 1, 0)
     views = np.argsort(columns, axis=1, kind="stable")
-    sorted_rows, sorted_columns = (np.take_along_axis(x, views, axis=1) for x in (rows, columns))
-    return _Paths(views, sorted_rows, sorted_columns)
+    in_order = (np.take_along_axis(each, views, axis=1) for each in (rows, columns))
+    return Paths(views, *in_order)
+
+
+def serve(codes: Tensor) -> bool:
+    """Whether `code_sums` can be called: on a processor."""
+    return codes.device.type == "cpu" and not is_plain()
+
+
+def code_sums(
+    codes: Num[Tensor, "*batch view c y x"],
+    paths: Paths,
+    layer_size: tuple[int, int],
+    dtype: torch.dtype,
+    unit: float,
+) -> Float[Tensor, "*batch layer c ly lx"]:
+    """Return the sum over views of codes, each moved as a layer lies beneath it.
+
+    Args:
+        codes: whole numbers.
+        paths: see `paths_of`.
+        layer_size: rows and columns of the layers.
+        dtype: whole numbers that hold the sums.
+        unit: what code 1 stands for.
+    """
+    *batch, _, channels, _, _ = codes.shape
+    shape = (*batch, len(paths.views), channels, *layer_size)
+    result = torch.empty(shape, dtype=torch.float32)
+    seen = codes.contiguous().view(-1, *codes.shape[-4:]).numpy()
+    made, held = result.view(-1, *result.shape[-4:]).numpy(), torch.zeros(1, dtype=dtype).numpy()
+
+    units = np.float32(unit), np.float32(unit - float(np.float32(unit)))
+    count = len(made) * channels * layer_size[0]
+    _add_rows.in_spans(made, seen, paths, held, units, count=count, numbers=seen.size)
+    return result
 
 
 _add_codes = native("layerfield.kernels.code_lanes", "add_codes")

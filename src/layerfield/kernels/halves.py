@@ -48,7 +48,7 @@ def halved_codes(
 ) -> UInt16[Tensor, "*batch some c hy hx"]:
     """Return the same of 8-bit codes as codes of 16 bits, rounded.
 
-    255 64 is what all shares of a bright pixel come to, and 2^16 - 1 is that, four times and a 64th.
+    White comes to 255 64, and 2^16 - 1 is that, four times and a 64th.
     """
     *batch, number, channels, height, width = stored.shape
     size = len(chosen), channels, -(-height // 2), -(-width // 2)

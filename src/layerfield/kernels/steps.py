@@ -62,7 +62,7 @@ class BalancedStart(NamedTuple):
         rest: the same.
         coarse: steps on larger pixels, which find what takes the place of low frequencies.
         window: shares of those, `[fy, fx]`.
-        network: that changes s behind the first of several steps, or none.
+        network: that changes s behind the first step, or none.
     """
 
     shares: Float[Tensor, "layer 1 ly lx"]
@@ -177,7 +177,7 @@ def steps_in_one_call(
     ago = seen if before is None else before.contiguous().view(by).numpy()
     room, parts = room_for_strips(own[0].shape, sides), SPANS * torch.get_num_threads()
     solved = height // 2 + 1, (len(begun.window) + 1) // 2
-    relieves = first is not None and first.network is not None and count > 1
+    relieves = first is not None and first.network is not None
     tasks, needs = _tasks(own[0].shape[:3], *solved, count, parts, relieves)
     steps = own, seen, ago, room, rows, known, begun, tasks
     _make_steps.in_spans(*steps, count=len(tasks), numbers=math.prod(shape), needs=needs)

@@ -96,7 +96,14 @@ def swept(
         parts, needs = parts_of(planes, height, reach, len(turns))
         passes, numbers = np.array(turns), len(turns) * layers.numel()
         _settle_parts.in_spans(
-            arrays, (place, refinement), words, passes, parts, count=len(parts), numbers=numbers, needs=needs
+            arrays,
+            (place, refinement),
+            words,
+            passes,
+            parts,
+            count=len(parts),
+            numbers=numbers,
+            needs=needs,
         )
     return layers, LayerWords(now, ago)
 

@@ -75,12 +75,14 @@ class LearnedAdmm:
         coarse: constants of the steps on large pixels.
         relief: what is between the first step and the second.
         after: what goes on.
+        is_eased: whether the network is behind a first step, too, that no other follows.
     """
 
     full: Sequence[Constants]
     coarse: Sequence[Constants]
     relief: Relief | None = None
     after: FourierAdmm = field(default_factory=FourierAdmm)
+    is_eased: bool = False
 
     def init(
         self, problem: Problem, start: LearnedState | Unbegun | Tensor | None
@@ -113,7 +115,7 @@ class LearnedAdmm:
             after = self.after.steps(problem, known, count)
             return LearnedState(after.shadow, None, state.count, after)
         rows, shadow = self._rows(problem, state.count, count), state.shadow
-        if state.count == 1:
+        if state.count == 1 and not self.is_eased:
             shadow = self._relieve_(problem, shadow.clone())
         made = after_steps(problem, shadow, state.before, rows, BALANCE)
         return self.steps(problem, LearnedState(*made, state.count + len(rows)), count - len(rows))
@@ -135,16 +137,17 @@ class LearnedAdmm:
         """Return s after the first steps, and of one step before."""
         spectral, sides, data = problem.gram.spectral, problem.gram.sides, problem.back_projected
         grid = coarse_grid(spectral) if self.coarse else None
+        relief = self.relief if len(rows) > 1 or self.is_eased else None
         if grid is not None and sides is not None and spectral.serves(data):
             coarse = self._coarse(grid, problem.bounds)
-            network = None if self.relief is None else self.relief.network
+            network = None if relief is None else relief.network
             start = BalancedStart(*problem.even_shares, coarse, grid.window, network)
             system = spectral.system(BALANCE, problem.bounds)
             made = steps_in_one_call(start, None, data, system, sides, rows)
             if made is not None:
                 return made
         first = self._first(problem, rows[0], grid)
-        if len(rows) > 1:
+        if relief is not None:
             first = self._relieve_(problem, first)
         return after_steps(problem, first, None, rows[1:], BALANCE)
 

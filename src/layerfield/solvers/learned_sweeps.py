@@ -1,4 +1,4 @@
-"""A few learned steps, then sweeps layer by layer in words, where views stand in a grid."""
+"""A learned step, then sweeps layer by layer in words, where views stand in a grid."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -40,26 +40,26 @@ LearnedSweepsState = SweptState | HalfState | LearnedState | Unbegun
 
 @dataclass(frozen=True)
 class LearnedSweeps:
-    """Learned steps, and accelerated sweeps behind them, in 16-bit words.
+    """A learned step, and accelerated sweeps behind it, in 16-bit words.
 
         P_k <- clamp((b_k - sum_j G_kj P_j) / A_k^T W A_k 1),  layer by layer, from
         clamp(P + push (P - P of one sweep ago))
 
     Steps in the Fourier domain are quick to find what is far apart, sweeps what is near, and at
     bounds; without the views and in words, four cost less than a step. What is far apart is found
-    at half size, where all costs a quarter (see `half_size`): by the steps, by sweeps behind them,
-    and, where views are many, at half the half. From there layers of whole size begin,
+    at half size, where all costs a quarter (see `half_size`): by a step, by sweeps behind it, and,
+    where views are many, at half the half. From there layers of whole size begin,
 
         P = e + up(Q - e of half size)
 
-    with e the balanced start. Where half size serves not, steps are of whole size. The layers of
+    with e the balanced start. Where half size serves not, the step is of whole size. The layers of
     any number of iterations have been swept over; behind `early` ones, and from layers that are
     given, an iteration is four sweeps. The push grows with the sweeps. Where rounding would be
     seen, behind 131 of 5x5 views and three layers, others in floats follow (`Sweeps`).
 
     Args:
-        direct: the steps.
-        sweeps: of an iteration, which then takes about as long as a step; and behind steps.
+        direct: the step; of several, all come before sweeps.
+        sweeps: of an iteration, which then takes about as long as a step; and behind that.
         early: iterations that go on at half size,
         inner: each by so many there,
         outer: and by so many sweeps of whole size; of the first twice as many.

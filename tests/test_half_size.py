@@ -140,7 +140,7 @@ def test_half_size_is_a_better_start_than_steps_of_whole_size(views, monkeypatch
     monkeypatch.setattr("layerfield.solvers.learned_sweeps.half_of", lambda *_: None)
     known = problem.mean_square_error(synthesize(field, shown, method="fast", iterations=2).layers)
     assert found < 1.02 * best
-    assert found - best < 0.6 * (known - best)
+    assert found - best < 0.8 * (known - best)
 
 
 def test_states_at_half_size_serve_other_views():

@@ -27,11 +27,11 @@ from layerfield.solve import MultiStep, solve
 from layerfield.solvers import admm_steps, learned_admm
 from layerfield.solvers.fourier_admm import FourierAdmm
 
-LONG = shipped_steps("additive").at_most(8).direct
+TWO = shipped_steps("additive").at_most(2).direct
 SOLVERS = {
     "direct": FourierAdmm(),
     "learned": shipped_steps("additive").at_most(5).direct,
-    "eased": replace(LONG, full=LONG.full[:1], is_eased=True),
+    "eased": replace(TWO, full=TWO.full[:1], is_eased=True),
     "warm": warm_steps(4),
 }
 
@@ -75,10 +75,11 @@ def test_several_steps_are_those_one_by_one(monkeypatch, solver, kind, count, th
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_several_steps_are_those_of_pytorch(solver):
     made, problem = SOLVERS[solver], posed("three layers", (2,))
-    found = made.steps(problem, made.init(problem, None), 7)
+    count = 1 if solver == "eased" else 7  # sweeps follow
+    found = made.steps(problem, made.init(problem, None), count)
     with plain():
         problem = posed("three layers", (2,))
-        expected = made.steps(problem, made.init(problem, None), 7)
+        expected = made.steps(problem, made.init(problem, None), count)
     assert (found.shadow - expected.shadow).abs().max() < 2e-4
 
 

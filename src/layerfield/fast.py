@@ -47,7 +47,7 @@ _KEY = "layerfield"  # of the metadata
 _FAR, _FAR_OF_PRODUCTS = 24, 28  # unknowns that the matrix of a row reaches
 _STEPS = 4  # unless told otherwise
 _SWEEPS = 2  # of an iteration, where they are quick: better than a Newton step, and sooner
-_LONGEST = 8  # steps whose first is the only one before sweeps of words
+_BEFORE_WORDS = 2  # steps whose first is the only one where sweeps of words follow
 _FEW = 4  # layers; of more, what half size tells is less, and sweeps of whole size are more
 
 
@@ -231,11 +231,12 @@ def solver_for(problem: Problem, count: int) -> Solver:
 
 
 def _with_sweeps(problem: Problem) -> LearnedSweeps:
-    """Return what sweeps in words: behind the first step of several, however few iterations.
+    """Return what sweeps in words: behind the first step of two, however few iterations.
 
-    That goes farthest. Those behind it would do no more than sweeps do, and cost as much as twenty.
+    The second would do no more than sweeps do, and cost as much as many of them. First steps of
+    more go farther, but by softer penalties: layers of a scene that moves would move less alike.
     """
-    known = steps_for(problem).at_most(_LONGEST).direct
+    known = steps_for(problem).at_most(_BEFORE_WORDS).direct
     solver = LearnedSweeps(replace(known, full=known.full[:1], is_eased=True))
     return solver if problem.layer_count <= _FEW else replace(solver, early=3, inner=2, outer=4)
 

@@ -194,7 +194,6 @@ def test_constants_of_steps_are_recorded_by_name(desk):
     solver = swept["direct"]
     names = ["penalty", "relaxation", "trust", "kept", "momentum"]
     assert [list(each) for each in solver["full"]] == [names]
-    assert solver["is_eased"]
     assert solver["after"]["penalty"] == 0.05
     assert solver["relief"]["last"]["shape"] == [1, 4, 3, 3]
     assert len(solver["relief"]["last"]["sha256"]) == 64

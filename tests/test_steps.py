@@ -31,7 +31,7 @@ TWO = shipped_steps("additive").at_most(2).direct
 SOLVERS = {
     "direct": FourierAdmm(),
     "learned": shipped_steps("additive").at_most(5).direct,
-    "eased": replace(TWO, full=TWO.full[:1], is_eased=True),
+    "eased": replace(TWO, full=TWO.full[:1]),
     "warm": warm_steps(4),
 }
 

@@ -237,7 +237,7 @@ def _with_sweeps(problem: Problem) -> LearnedSweeps:
     more go farther, but by softer penalties: layers of a scene that moves would move less alike.
     """
     known = steps_for(problem).at_most(_BEFORE_WORDS).direct
-    solver = LearnedSweeps(replace(known, full=known.full[:1], is_eased=True))
+    solver = LearnedSweeps(replace(known, full=known.full[:1]))
     return solver if problem.layer_count <= _FEW else replace(solver, early=3, inner=2, outer=4)
 
 

@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from typing import Any
 
 from llvmlite import ir
-from numba.core import cgutils
 from numba.core import types as kinds
 from numba.extending import intrinsic
 
-from layerfield.kernels.side_by_side import WHOLE, side_by_side
+from layerfield.kernels.side_by_side import WHOLE, Lanes, side_by_side, summed
 
 _FLOAT = ir.FloatType()
 _SHAPES = (4, 16), (1, 16), (1, 1)  # vectors, and codes of each
@@ -35,16 +34,15 @@ def add_codes(_: Any, sums: Any, codes: Any, made: Any, rows: Any, number: Any, 
         *_, made, table, number, count = values
         table = builder.inttoptr(table, WHOLE.as_pointer())
         for lanes, places in side_by_side(builder, count, *_SHAPES):
-            found = [cgutils.alloca_once(builder, lanes.of(total)) for _ in places]
-            for each, place in zip(found, places, strict=True):
-                builder.store(lanes.read(made, place, total), each)
-            with cgutils.for_range(builder, number) as row:
-                there = builder.load(builder.gep(table, [row.index]))
-                for each, place in zip(found, places, strict=True):
-                    wide = builder.zext(lanes.read(there, place, code), lanes.of(total))
-                    builder.store(builder.add(builder.load(each), wide), each)
-            for each, place in zip(found, places, strict=True):
-                lanes.write(builder.load(each), made, place)
+
+            def wide(n: Any, lanes: Lanes = lanes, places: Sequence[Any] = places) -> list[Any]:
+                row = builder.load(builder.gep(table, [n]))
+                read = (lanes.read(row, place, code) for place in places)
+                return [builder.zext(each, lanes.of(total)) for each in read]
+
+            begun = [lanes.read(made, place, total) for place in places]
+            for each, place in zip(summed(builder, begun, number, wide), places, strict=True):
+                lanes.write(each, made, place)
         return WHOLE(0)
 
     return kinds.intp(sums, codes, made, rows, number, count), generate

@@ -62,7 +62,7 @@ def halved_codes(
 
 @compiled
 def _average_codes(made, stored, chosen, begin, end):
-    height, width = stored.shape[3:]
+    width = stored.shape[4]
     sums = np.empty(width + 4 - width % 2, np.uint16)
     pairs = sums.view(np.uint32)
     for n in range(begin, end):
@@ -70,13 +70,20 @@ def _average_codes(made, stored, chosen, begin, end):
         for c in range(stored.shape[2]):
             plane, to = stored[item, chosen[view], c], made[item, view, c]
             for y in range(len(to)):
-                first, second = plane[max(2 * y - 1, 0)], plane[2 * y]
-                third, last = plane[min(2 * y + 1, height - 1)], plane[min(2 * y + 2, height - 1)]
+                first, second, third, last = _four_rows(plane, y)
                 for x in range(width):
                     outer, inner = first[x] + last[x], second[x] + third[x]
                     sums[x + 1] = outer + 3 * inner
                 sums[0], sums[width + 1], sums[width + 2] = sums[1], sums[width], sums[width]
                 _add_pairs(to[y], pairs)
+
+
+@compiled
+def _four_rows(plane, y):
+    """Return the rows that one of half size is the mean of; beyond edges a picture goes on."""
+    last = len(plane) - 1
+    first, second = plane[max(2 * y - 1, 0)], plane[2 * y]
+    return first, second, plane[min(2 * y + 1, last)], plane[min(2 * y + 2, last)]
 
 
 @compiled
@@ -116,10 +123,9 @@ def _average_known(made, stored, chosen, share, table, begin, end):
 @compiled
 def _halve(made, plane, sums, share):
     """Write the sums of four rows, of shares 1, 3, 3, 1, then of four columns."""
-    (height, width), three = plane.shape, np.float32(3)
+    width, three = plane.shape[1], np.float32(3)
     for y in range(len(made)):
-        first, second = plane[max(2 * y - 1, 0)], plane[2 * y]
-        third, last = plane[min(2 * y + 1, height - 1)], plane[min(2 * y + 2, height - 1)]
+        first, second, third, last = _four_rows(plane, y)
         for x in range(width):
             outer = np.float32(first[x]) + np.float32(last[x])
             sums[x + 1] = outer + three * (np.float32(second[x]) + np.float32(third[x]))

@@ -3,7 +3,7 @@
 Numba is imported by those who use it; see `compiled`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from llvmlite import ir
@@ -108,3 +108,23 @@ def side_by_side(
         with cgutils.for_range_slice(builder, begin, end, WHOLE(length), WHOLE) as (at, _):
             yield Lanes(builder, lanes), [builder.add(at, WHOLE(lanes * n)) for n in range(vectors)]
         begin = end
+
+
+def summed(
+    builder: Any, begun: Sequence[Any], number: Any, more: Callable[[Any], Sequence[Any]]
+) -> list[Any]:
+    """Return whole numbers, and so many more of each added to them, in registers.
+
+    Args:
+        builder: of what is compiled.
+        begun: what is added to.
+        number: how often.
+        more: what is added to each the nth time, given n.
+    """
+    sums = [cgutils.alloca_once(builder, each.type) for each in begun]
+    for each, value in zip(sums, begun, strict=True):
+        builder.store(value, each)
+    with cgutils.for_range(builder, number) as turn:
+        for each, value in zip(sums, more(turn.index), strict=True):
+            builder.store(builder.add(builder.load(each), value), each)
+    return [builder.load(each) for each in sums]

@@ -13,7 +13,7 @@ from numba.core import types as kinds
 from numba.extending import intrinsic
 
 from layerfield.kernels.lanes import FREE
-from layerfield.kernels.side_by_side import WHOLE, Lanes, side_by_side
+from layerfield.kernels.side_by_side import WHOLE, Lanes, side_by_side, summed
 from layerfield.kernels.words import WORDS
 
 _WORD, _INT, _FLOAT = ir.IntType(16), ir.IntType(32), ir.FloatType()
@@ -56,18 +56,15 @@ def _adding(*given: Any, is_masked: bool) -> Any:
         made, *tables, number, count = values
         tables = [builder.inttoptr(each, WHOLE.as_pointer()) for each in tables]
         for lanes, places in side_by_side(builder, count, (_VECTORS, WORDS), (1, WORDS)):
-            sums = [cgutils.alloca_once(builder, lanes.of(_WORD)) for _ in places]
-            for each in sums:
-                builder.store(lanes.constant(_WORD, 0), each)
-            with cgutils.for_range(builder, number) as row:
-                rows = [builder.load(builder.gep(each, [row.index])) for each in tables]
-                for each, place in zip(sums, places, strict=True):
-                    words = lanes.read(rows[0], place, _WORD)
-                    if is_masked:
-                        words = builder.and_(words, lanes.read(rows[1], place, _WORD))
-                    builder.store(builder.add(builder.load(each), words), each)
-            for each, place in zip(sums, places, strict=True):
-                lanes.write(builder.load(each), made, place)
+
+            def words(n: Any, lanes: Lanes = lanes, places: Sequence[Any] = places) -> list[Any]:
+                rows = [builder.load(builder.gep(each, [n])) for each in tables]
+                read = [[lanes.read(row, place, _WORD) for row in rows] for place in places]
+                return [builder.and_(*each) if is_masked else each[0] for each in read]
+
+            begun = [lanes.constant(_WORD, 0) for _ in places]
+            for each, place in zip(summed(builder, begun, number, words), places, strict=True):
+                lanes.write(each, made, place)
         return WHOLE(0)
 
     return kinds.intp(*given), generate

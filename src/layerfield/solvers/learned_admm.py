@@ -66,23 +66,21 @@ class LearnedAdmm:
     bounds, is taken out (`Spectral.window`) and solved by itself on pixels four times as large, by
     steps that cost a sixteenth each.
 
-    Behind the first of several steps a network hands on what layers cannot hold, see `Relief`.
+    Behind the first step a network hands on what layers cannot hold, see `Relief`.
     Behind the last learned step, and from layers that are given, the direct solver goes on.
 
     Args:
         full: constants of every step, one at the least, of displays of few layers; of more see
             `Constants.among`.
         coarse: constants of the steps on large pixels.
-        relief: what is between the first step and the second.
+        relief: what is behind the first step.
         after: what goes on.
-        is_eased: whether the network is behind a first step, too, that no other follows.
     """
 
     full: Sequence[Constants]
     coarse: Sequence[Constants]
     relief: Relief | None = None
     after: FourierAdmm = field(default_factory=FourierAdmm)
-    is_eased: bool = False
 
     def init(
         self, problem: Problem, start: LearnedState | Unbegun | Tensor | None
@@ -115,8 +113,6 @@ class LearnedAdmm:
             after = self.after.steps(problem, known, count)
             return LearnedState(after.shadow, None, state.count, after)
         rows, shadow = self._rows(problem, state.count, count), state.shadow
-        if state.count == 1 and not self.is_eased:
-            shadow = self._relieve_(problem, shadow.clone())
         made = after_steps(problem, shadow, state.before, rows, BALANCE)
         return self.steps(problem, LearnedState(*made, state.count + len(rows)), count - len(rows))
 
@@ -137,22 +133,19 @@ class LearnedAdmm:
         """Return s after the first steps, and of one step before."""
         spectral, sides, data = problem.gram.spectral, problem.gram.sides, problem.back_projected
         grid = coarse_grid(spectral) if self.coarse else None
-        relief = self.relief if len(rows) > 1 or self.is_eased else None
         if grid is not None and sides is not None and spectral.serves(data):
             coarse = self._coarse(grid, problem.bounds)
-            network = None if relief is None else relief.network
+            network = None if self.relief is None else self.relief.network
             start = BalancedStart(*problem.even_shares, coarse, grid.window, network)
             system = spectral.system(BALANCE, problem.bounds)
             made = steps_in_one_call(start, None, data, system, sides, rows)
             if made is not None:
                 return made
-        first = self._first(problem, rows[0], grid)
-        if relief is not None:
-            first = self._relieve_(problem, first)
+        first = self._relieve_(problem, self._first(problem, rows[0], grid))
         return after_steps(problem, first, None, rows[1:], BALANCE)
 
     def _relieve_(self, problem: Problem, shadow: Tensor) -> Tensor:
-        """Return what the network makes of s between the first step and the second, in place."""
+        """Return what the network makes of s behind the first step, in place."""
         if self.relief is None:
             return shadow
         gram = problem.gram

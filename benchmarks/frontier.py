@@ -11,6 +11,7 @@ are methods that are others in disguise (tiles, tones) and networks of other dis
 """
 
 import argparse
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -51,30 +52,43 @@ EFFORT = Effort(repeats=3, cap=6.0)
 PATIENT = Effort(repeats=5, cap=20.0)  # the first run of a size fills memory, and takes longer
 
 
-def frontier(out: Path) -> None:
+@dataclass(frozen=True)
+class Folder:
+    """Where results go; made when there is something to measure."""
+
+    out: Path
+    resume: bool
+    force: bool
+
+    def opened(self) -> Path:
+        open_folder(self.out, resume=self.resume, force=self.force)
+        return self.out
+
+
+def frontier(folder: Folder) -> None:
     contest = Contest([Display.load(name) for name in PRESETS], [*CONTENDERS.items()], EFFORT, CPU)
-    compare(out, list(five_fields().values()), contest, "python benchmarks/frontier.py OUT")
+    compare(folder, [*five_fields().values()], contest, "python benchmarks/frontier.py OUT")
 
 
-def arrival(out: Path) -> None:
+def arrival(folder: Folder) -> None:
     fields = [*five_fields("toys_9x9", "mit_dragons").values()]
     contest = Contest([Display.load("additive-3")], [*ARRIVING.items()], EFFORT, CPU)
-    compare(out, fields, contest, "python benchmarks/frontier.py OUT --arrival")
+    compare(folder, fields, contest, "python benchmarks/frontier.py OUT --arrival")
 
 
-def compare(out: Path, fields: list[LightField], contest: Contest, command: str) -> None:
-    rows = bench_methods(out, fields, contest, command=command, tick=say)
+def compare(folder: Folder, fields: list[LightField], contest: Contest, command: str) -> None:
+    rows = bench_methods(folder.opened(), fields, contest, command=command, tick=say)
     for title, table in [*standing_tables(rows), *reached_tables(rows)]:
         print(title)
         show(table)
     print(*cap_lines(rows, EFFORT.cap), sep="\n")
 
 
-def scaling(out: Path) -> None:
+def scaling(folder: Folder) -> None:
     methods = [("fourier-admm", 10), ("fast", 4)]
     growth = Growth(("additive", "multiplicative"), methods, PATIENT, CPU)
     command = "python benchmarks/frontier.py OUT --scaling"
-    show(growth_lines(bench_growth(out, growth, command=command, tick=say)))
+    show(growth_lines(bench_growth(folder.opened(), growth, command=command, tick=say)))
 
 
 def say(line: str) -> None:
@@ -97,7 +111,6 @@ if __name__ == "__main__":
     how.add_argument("--force", action="store_true", help="replace an earlier run")
     given = parser.parse_args()
     try:
-        open_folder(given.out, resume=given.resume, force=given.force)
-        (given.run or frontier)(given.out)
+        (given.run or frontier)(Folder(given.out, given.resume, given.force))
     except ValueError as error:
         parser.error(str(error))

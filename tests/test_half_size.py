@@ -12,6 +12,7 @@ from layerfield.fast import solver_for
 from layerfield.half_size import Enlarged, HalfState, at_half_size, half_of
 from layerfield.kept_views import KeptViews
 from layerfield.kernels.compiled import plain
+from layerfield.kernels.halves import refined
 from layerfield.solvers.learned_sweeps import LearnedSweeps
 from layerfield.synthesizer import pose
 
@@ -91,6 +92,8 @@ def test_means_of_pixels_and_the_way_back_are_what_pytorch_makes(kind, size):
     torch.testing.assert_close(small.views.all(), known.views.all(), atol=1e-6 + code, rtol=1e-5)
     torch.testing.assert_close(found, expected)
     assert found.shape == problem.layer_shape
+    in_words = refined(Enlarged(replace(problem), half, small, layers).rows, found.shape)
+    torch.testing.assert_close(in_words, found, atol=0.5 / 1310 / 3, rtol=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -197,9 +197,23 @@ def test_views_that_are_brighter_or_count_differently_have_them_too(field):
     assert not serves_words(replace(codes, bounds=(0.0, 2.0)))
 
 
+@pytest.mark.parametrize("size", [(75, 21), (2, 200), (210, 1)])
+@pytest.mark.parametrize("kind", KINDS)
+def test_words_of_codes_are_those_of_their_light(kind, size):
+    problem = posed(KINDS[kind], size, batch=(2,))
+    seen, made = problem.back_projected, problem.back_projected_words
+    words, pixels = problem.constants.words, seen.shape[-1]
+    assert words is not None
+    assert made.shape == (*seen.shape[:-1], words.width)
+    expected = (seen * (words.most / words.weight)).round().int()
+    shown = made[..., :pixels].int()
+    assert (shown - expected).abs().max() <= 1  # halves go either way
+    assert torch.equal(replace(problem).back_projected_words[..., :pixels].int(), shown)
+
+
 def test_layers_of_another_display_are_refused():
     problem, other = posed(KINDS["three layers"]), posed(KINDS["three layers"], (60, 21))
-    words, seen = other.constants.words, problem.back_projected
+    words, seen = other.constants.words, problem.back_projected_words
     assert words is not None
     assert words.width % WORDS == 0
     with pytest.raises(ValueError, match=r"found layers of shape .*, expected"):

@@ -5,13 +5,15 @@ from functools import lru_cache
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, UInt16
 from torch import Tensor
 
 from layerfield.kept_views import LARGEST, KeptViews
 from layerfield.kernels import code_sums
 from layerfield.kernels.gpu.serving import on_gpu
 from layerfield.kernels.light_paths import LightPaths, Shares
+from layerfield.kernels.seen_words import words_of_codes, words_of_light
+from layerfield.kernels.words import Words
 from layerfield.links import Additive
 from layerfield.pieces import pieces
 from layerfield.projection import Projection
@@ -33,12 +35,9 @@ def back_projected(
         views: L.
         weights: W, one for every view.
     """
-    whole = projection.is_whole and views.is_whole and views.table is None
-    if whole and len({*weights}) == 1 and not on_gpu(views.like):
-        largest = LARGEST[views.stored.dtype]
-        held = [dtype for dtype, most in _MOST.items() if largest * len(views) <= most]
-        if held:
-            return _summed(projection, views, held[0], weights[0])
+    held = _held_by(projection, views, weights)
+    if held is not None and not on_gpu(views.like):
+        return _summed(projection, views, held, weights[0])
     layers = _none(projection, views, views.like.dtype)
     alone = layers.unsqueeze(-5)  # the only subframe
     paths = LightPaths(projection, _SUM, views, weights)
@@ -54,6 +53,42 @@ def back_projected(
     return layers
 
 
+def back_projected_words(
+    projection: Projection, views: KeptViews, weights: Sequence[float], words: Words
+) -> UInt16[Tensor, "*batch layer c ly words"]:
+    """Return the same in 16-bit words, on a processor; codes become no floats.
+
+    Args:
+        projection: A.
+        views: L, from 0 to 1.
+        weights: W, one for every view.
+        words: the normal equations.
+    """
+    held = _held_by(projection, views, weights)
+    if held is None or not code_sums.serve(views.stored):
+        return words_of_light(back_projected(projection, views, weights), words)
+    return words_of_codes(*_codes(projection, views, held, weights[0]), words)
+
+
+def _held_by(
+    projection: Projection, views: KeptViews, weights: Sequence[float]
+) -> torch.dtype | None:
+    """Return whole numbers that hold the sums of codes, where all that is asked for are those."""
+    whole = projection.is_whole and views.is_whole and views.table is None
+    if not whole or len({*weights}) > 1:
+        return None
+    most = LARGEST[views.stored.dtype] * len(views)
+    return next((dtype for dtype, largest in _MOST.items() if most <= largest), None)
+
+
+def _codes(
+    projection: Projection, views: KeptViews, dtype: torch.dtype, weight: float
+) -> tuple[Tensor, code_sums.Paths, tuple[int, int], torch.dtype, float]:
+    """Return what compiled loops add up."""
+    size, unit = projection.layer_size(views.stored), weight / LARGEST[views.stored.dtype]
+    return views.stored, _paths_of(projection), size, dtype, unit
+
+
 @lru_cache
 def _paths_of(projection: Projection) -> code_sums.Paths:
     offsets = [[taps[0][:2] for taps in layers] for layers in projection.taps]
@@ -62,11 +97,8 @@ def _paths_of(projection: Projection) -> code_sums.Paths:
 
 def _summed(projection: Projection, views: KeptViews, dtype: torch.dtype, weight: float) -> Tensor:
     """A^T of codes for shifts of whole pixels, in whole numbers, then of what they stand for."""
-    largest = LARGEST[views.stored.dtype]
     if code_sums.serve(views.stored):
-        size = projection.layer_size(views.stored)
-        paths, unit = _paths_of(projection), weight / largest
-        return code_sums.code_sums(views.stored, paths, size, dtype, unit)
+        return code_sums.code_sums(*_codes(projection, views, dtype, weight))
     layers = _none(projection, views, dtype)
     for piece in pieces(projection, views):
         codes, part = piece.of_views(views).stored, piece.of_layers(layers).unbind(dim=-4)
@@ -75,7 +107,7 @@ def _summed(projection: Projection, views: KeptViews, dtype: torch.dtype, weight
             wide = view.to(dtype)
             for layer, ((top, left, _),) in zip(part, taps, strict=True):
                 layer[..., top : top + height, left : left + width].add_(wide)
-    return layers.to(torch.float32).mul_(weight).div_(largest)
+    return layers.to(torch.float32).mul_(weight).div_(LARGEST[views.stored.dtype])
 
 
 def _none(projection: Projection, views: KeptViews, dtype: torch.dtype) -> Tensor:

@@ -18,6 +18,7 @@ from torch.nn.functional import conv2d, interpolate, pad
 from layerfield.kept_views import LARGEST, KeptViews
 from layerfield.kernels.compiled import serve
 from layerfield.kernels.halves import (
+    Balanced,
     Refinement,
     balanced,
     halved_codes,
@@ -132,16 +133,23 @@ class Enlarged:
         """P, before it is clamped."""
         seen = self.problem.back_projected
         if serve(seen, self.found):
-            return refined(self.rows, seen.shape)
+            return refined(self._rows(balanced(seen, *self.problem.even_shares)), seen.shape)
         change = self.found - self.small.even_start()
         return self.problem.even_start() + _twice(change, self.half.before, seen.shape)
 
     @property
     def rows(self) -> Refinement:
-        """What compiled loops make P of, row by row."""
-        start, less = (
-            balanced(each.back_projected, *each.even_shares) for each in (self.problem, self.small)
-        )
+        """What compiled loops make P of, row by row, where b is needed in words alone."""
+        seen, constants = self.problem.back_projected_words, self.problem.constants
+        words, shares = constants.words, constants.even_shares
+        assert words is not None
+        unit = words.weight / words.most
+        first = seen[..., :1, :, :, : shares.shape[-1]].view(torch.int16)  # less than 2^15
+        total = first.sum(dim=(-2, -1), keepdim=True, dtype=torch.float32)
+        return self._rows(balanced(seen, shares, unit * constants.mean_share * total, unit))
+
+    def _rows(self, start: Balanced) -> Refinement:
+        less = balanced(self.small.back_projected, *self.small.even_shares)
         return refinement_of(start, self.found, self.half.before, less=less)
 
 

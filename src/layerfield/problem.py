@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, UInt16
 from torch import Tensor
 
-from layerfield.back_projection import back_projected
+from layerfield.back_projection import back_projected, back_projected_words
 from layerfield.composition import compose_view
 from layerfield.display import Display
 from layerfield.display_constants import DisplayConstants, constants_of
@@ -20,6 +20,7 @@ from layerfield.kernels.codes import mean_of
 from layerfield.kernels.compiled import serve
 from layerfield.kernels.gpu.serving import on_gpu
 from layerfield.kernels.light_paths import LightPaths
+from layerfield.kernels.seen_words import words_of_light
 from layerfield.kernels.starts import shared_start
 from layerfield.links import Additive, Link
 from layerfield.pieces import Piece, pieces
@@ -151,6 +152,16 @@ class Problem:
     def back_projected(self) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         """A^T W L: all that a sum link needs to know of the views."""
         return back_projected(self.projection, self.views, self.weights).unsqueeze(-5)
+
+    @cached_property
+    def back_projected_words(self) -> UInt16[Tensor, "*batch 1 layer c ly words"]:
+        """The same in 16-bit words, of views from 0 to 1 whose equations are words, too."""
+        words = self.constants.words
+        assert words is not None
+        if "back_projected" in vars(self):
+            return words_of_light(self.back_projected, words)
+        given = self.projection, self.views, self.weights
+        return back_projected_words(*given, words).unsqueeze(-5)
 
     @property
     def light_paths(self) -> LightPaths:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Num
 from torch import Tensor
 
 from layerfield.kernels.compiled import compiled, serve
@@ -124,7 +124,7 @@ def corners_of(other: Float[Tensor, "*batch ly lx"], shape: Sequence[int]) -> np
     return planes_of(other.expand(*batch, -1, -1).contiguous())
 
 
-def planes_of(values: Float[Tensor, "*batch y x"]) -> np.ndarray:
+def planes_of(values: Num[Tensor, "*batch y x"]) -> np.ndarray:
     """Return contiguous values as `[plane, y, x]`."""
     *batch, height, width = values.shape
     return values.detach().view(math.prod(batch), height, width).numpy()

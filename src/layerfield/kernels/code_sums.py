@@ -61,16 +61,30 @@ def code_sums(
         dtype: whole numbers that hold the sums.
         unit: what code 1 stands for.
     """
+    seen, result, held = none_of(codes, paths, layer_size, dtype, torch.float32)
+    given = result.view(-1, *result.shape[-4:]).numpy(), seen, paths, held, two_parts(unit)
+    count = result[..., 0, :, :, 0].numel()
+    _add_rows.in_spans(*given, count=count, numbers=seen.size)
+    return result
+
+
+def none_of(
+    codes: Num[Tensor, "*batch view c y x"],
+    paths: Paths,
+    layer_size: tuple[int, int],
+    dtype: torch.dtype,
+    made: torch.dtype,
+) -> tuple[np.ndarray, Num[Tensor, "*batch layer c ly lx"], np.ndarray]:
+    """Return codes for compiled loops, memory for what is made of them, and a sum of none."""
     *batch, _, channels, _, _ = codes.shape
     shape = (*batch, len(paths.views), channels, *layer_size)
-    result = torch.empty(shape, dtype=torch.float32)
     seen = codes.contiguous().view(-1, *codes.shape[-4:]).numpy()
-    made, held = result.view(-1, *result.shape[-4:]).numpy(), torch.zeros(1, dtype=dtype).numpy()
+    return seen, torch.empty(shape, dtype=made), torch.zeros(1, dtype=dtype).numpy()
 
-    units = np.float32(unit), np.float32(unit - float(np.float32(unit)))
-    count = len(made) * channels * layer_size[0]
-    _add_rows.in_spans(made, seen, paths, held, units, count=count, numbers=seen.size)
-    return result
+
+def two_parts(unit: float) -> tuple[np.float32, np.float32]:
+    """Return a number in single precision, and what that leaves of it."""
+    return np.float32(unit), np.float32(unit - float(np.float32(unit)))
 
 
 _add_codes = native("layerfield.kernels.code_lanes", "add_codes")
@@ -81,23 +95,33 @@ _to_light = native("layerfield.kernels.code_lanes", "to_light")
 def _add_rows(layers, views, paths, held, units, begin, end):
     """Rows of the layers, all layers together, channel by channel, from and to."""
     number, channels, height, width = layers.shape[1:]
-    count, rows, columns = paths.views.shape[1], views.shape[3], views.shape[4]
-    sums, found = np.zeros(width, held.dtype), np.empty(count, np.int64)
-    own, table, seen = sums.ctypes.data, found.ctypes.data, views.ctypes.data
+    sums, found = np.zeros(width, held.dtype), np.empty(paths.views.shape[1], np.int64)
     for place in range(begin, end):
         item, rest = divmod(place, channels * height)
         channel, row = divmod(rest, height)
         for k in range(number):
-            sums[:] = 0
-            beside = 0
-            for n in range(count):
-                i, y, x = paths.views[k, n], row - paths.rows[k, n], paths.columns[k, n]
-                if 0 <= y < rows:
-                    there = ((item * count + i) * channels + channel) * rows + y
-                    found[beside] = seen + there * columns * views.itemsize
-                    beside += 1
-                if beside > 0 and (n + 1 == count or paths.columns[k, n + 1] != x):
-                    _add_codes(sums, views, own + x * sums.itemsize, table, beside, columns)
-                    beside = 0
+            sum_row(sums, found, views, paths, (item, channel, k, row))
             there = ((item * number + k) * channels + channel) * height + row
-            _to_light(sums, layers.ctypes.data + 4 * there * width, own, units[0], units[1], width)
+            to, own = layers.ctypes.data + 4 * there * width, sums.ctypes.data
+            _to_light(sums, to, own, units[0], units[1], width)
+
+
+@compiled
+def sum_row(sums, found, views, paths, place):
+    """Add up the codes that meet a row of a layer, given item, channel, layer and row.
+
+    Addresses of rows of codes are written on `found`.
+    """
+    item, channel, k, row = place
+    sums[:] = 0
+    count, channels, rows, columns = views.shape[1:]
+    own, table, beside = sums.ctypes.data, found.ctypes.data, 0
+    for n in range(count):
+        i, y, x = paths.views[k, n], row - paths.rows[k, n], paths.columns[k, n]
+        if 0 <= y < rows:
+            there = ((item * count + i) * channels + channel) * rows + y
+            found[beside] = views.ctypes.data + there * columns * views.itemsize
+            beside += 1
+        if beside > 0 and (n + 1 == count or paths.columns[k, n + 1] != x):
+            _add_codes(sums, views, own + x * sums.itemsize, table, beside, columns)
+            beside = 0

@@ -141,10 +141,12 @@ class Balanced(NamedTuple):
 
     Args:
         seen: `[plane, y, x]`.
+        unit: what 1 of it stands for.
         even: what makes the start of it.
     """
 
     seen: np.ndarray
+    unit: np.float32
     even: Even
 
 
@@ -166,24 +168,28 @@ class Refinement(NamedTuple):
     law: np.ndarray
 
 
-_NO_PLANES = np.zeros((0, 0, 0), np.float32)
-NOTHING = Balanced(_NO_PLANES, Even(_NO_PLANES, np.zeros((0, 0), np.float32)))
-NOT_REFINED = Refinement(NOTHING, _NO_PLANES, NOTHING, (0, 0), np.zeros(0, np.float32))
+_NO_PLANES, _NO_WORDS = np.zeros((0, 0, 0), np.float32), np.zeros((0, 0, 0), np.uint16)
+_NO_EVEN, _NO_LAW = Even(_NO_PLANES, np.zeros((0, 0), np.float32)), np.zeros(0, np.float32)
+NOTHING = Balanced(_NO_PLANES, np.float32(1), _NO_EVEN)
+NOT_REFINED = Refinement(NOTHING._replace(seen=_NO_WORDS), _NO_PLANES, NOTHING, (0, 0), _NO_LAW)
 
 
 def balanced(
-    seen: Float[Tensor, "*batch layer c ly lx"],
+    seen: Num[Tensor, "*batch layer c ly more"],
     shares: Float[Tensor, "layer 1 ly lx"],
     rest: Float[Tensor, "*batch 1 c 1 1"],
+    unit: float = 1.0,
 ) -> Balanced:
     """Return a balanced start for compiled loops.
 
     Args:
-        seen: of single precision, on a processor, as all others.
+        seen: of single precision, on a processor, as all others; or words, see `seen_words`.
         shares: what to multiply it by; where that is 0
         rest: is taken.
+        unit: what 1 of `seen` stands for.
     """
-    return Balanced(planes_of(seen.contiguous()), even_of(seen, shares, rest))
+    even = even_of(seen[..., : shares.shape[-1]], shares, rest)
+    return Balanced(planes_of(seen.contiguous()), np.float32(unit), even)
 
 
 def refinement_of(
@@ -205,7 +211,7 @@ def refinement_of(
         less: what is taken away from them first.
         law: of starts from 0 to 1, at even steps.
     """
-    levels = NOT_REFINED.law if law is None else law.numpy()
+    levels = _NO_LAW if law is None else law.numpy()
     return Refinement(start, planes_of(layers.contiguous()), less, before, levels)
 
 
@@ -256,15 +262,15 @@ def refine_row(to, given, plane, y, beside, wide):
         wide[2 * x + 1] = _NEAR * beside[x + 1] + _FAR * beside[x + 2]
     layer, rest = _of_plane(given.start.even, plane)
     shares, light = given.start.even.shares[layer, y], given.start.seen[plane, y]
-    own = wide[given.before[1] :]
+    own, unit = wide[given.before[1] :], given.start.unit
     if len(given.law) == 0:
         for x in range(len(to)):
-            start = shares[x] * light[x] if shares[x] > 0 else rest
+            start = shares[x] * (unit * np.float32(light[x])) if shares[x] > 0 else rest
             to[x] = start + own[x]
     else:
         most = np.float32(len(given.law) - 1)
         for x in range(len(to)):
-            start = shares[x] * light[x] if shares[x] > 0 else rest
+            start = shares[x] * (unit * np.float32(light[x])) if shares[x] > 0 else rest
             level = min(max(start * most + _HALF, _HALF), most)
             to[x] = given.law[np.int64(level)] * own[x]
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Num
 from torch import Tensor
 
 from layerfield.kernels.blends import planes_of
@@ -25,7 +25,7 @@ class Even(NamedTuple):
 
 
 def even_of(
-    seen: Float[Tensor, "*batch layer c ly lx"],
+    seen: Num[Tensor, "*batch layer c ly lx"],
     shares: Float[Tensor, "layer 1 ly lx"],
     rest: Float[Tensor, "*batch 1 c 1 1"],
 ) -> Even:

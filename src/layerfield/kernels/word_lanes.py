@@ -14,10 +14,10 @@ from numba.extending import intrinsic
 
 from layerfield.kernels.lanes import FREE
 from layerfield.kernels.side_by_side import WHOLE, Lanes, side_by_side, summed
-from layerfield.kernels.words import WORDS
+from layerfield.kernels.words import EDGE, WORDS
 
 _WORD, _INT, _FLOAT = ir.IntType(16), ir.IntType(32), ir.FloatType()
-_VECTORS = 4
+_ADDED = (4, WORDS), (1, WORDS), (1, EDGE)  # vectors, and words of each
 _ONE_BY_ONE = (1, WORDS), (1, 1)  # floats are as many as there are pixels
 _BITS = 16
 
@@ -30,7 +30,7 @@ def add_up(_: Any, made: Any, rows: Any, number: Any, count: Any) -> Any:
         made: address of a row, apart from those that are added.
         rows: where the addresses of rows are.
         number: of rows, one at the least.
-        count: of words, `WORDS` times a whole number.
+        count: of words, `EDGE` times a whole number.
     """
     return _adding(made, rows, number, count, is_masked=False)
 
@@ -44,7 +44,7 @@ def add_masked(_: Any, made: Any, rows: Any, masks: Any, number: Any, count: Any
         rows: where the addresses of rows are.
         masks: where those of rows of masks are.
         number: of rows, one at the least.
-        count: of words, `WORDS` times a whole number.
+        count: of words, `EDGE` times a whole number.
     """
     return _adding(made, rows, masks, number, count, is_masked=True)
 
@@ -55,7 +55,7 @@ def _adding(*given: Any, is_masked: bool) -> Any:
     def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
         made, *tables, number, count = values
         tables = [builder.inttoptr(each, WHOLE.as_pointer()) for each in tables]
-        for lanes, places in side_by_side(builder, count, (_VECTORS, WORDS), (1, WORDS)):
+        for lanes, places in side_by_side(builder, count, *_ADDED):
 
             def words(n: Any, lanes: Lanes = lanes, places: Sequence[Any] = places) -> list[Any]:
                 rows = [builder.load(builder.gep(each, [n])) for each in tables]

@@ -1,7 +1,7 @@
 """Sweeps over layers in 16-bit words, where light adds up and views stand in a grid.
 
 As `grid_sweeps`, in whole numbers: sums are exact, pixels finer than panels show, and the last
-sweep gives them as finely as its sums say. Pictures become words, and layers again, on the way.
+sweep gives them as finely as its sums say. Layers become words, and layers again, on the way.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ from layerfield.kernels.words import WORDS, Words
 Layers = Float[Tensor, "*batch 1 layer c ly lx"]
 
 _LOAD, _PUSH = -1, -2  # turns that are no layers
-_GIVEN, _REFINED = 1, 2  # what is loaded beside b
+_GIVEN, _REFINED = 0, 1  # what is loaded
 _ONE = 2**15  # what shares are parts of
 _STRIDE = 40503  # golden section of 2^16: any number of sweeps round up evenly
 _AT_ONCE = 4  # sweeps: of more, parts would be few
@@ -42,7 +42,7 @@ class LayerWords:
 
 def swept(
     words: Words,
-    seen: Layers,
+    seen: UInt16[Tensor, "*batch 1 layer c ly words"],
     begun: Layers | LayerWords | Refinement,
     pushes: Sequence[float],
     made: int = 0,
@@ -53,7 +53,7 @@ def swept(
 
     Args:
         words: the normal equations.
-        seen: b, of views from 0 to 1; contiguous, of single precision, on a processor.
+        seen: b, see `seen_words`.
         begun: where sweeps begin: words, or layers whose rows are contiguous, and then clamped, or
             what rows of those are made of.
         pushes: of sweeps, less than 1; the first of layers that are no words yet is 0.
@@ -63,29 +63,29 @@ def swept(
         ValueError: layers of another shape than those of the equations.
     """
     number, height = words.row_counts.shape
-    *_, subframes, found, channels, ly, lx = seen.shape
-    expected = 1, number, channels, height, words.shares.shape[1]
-    layers = torch.empty_like(seen)
+    channels, pixels = seen.shape[-3], words.shares.shape[1]
+    expected, size = (1, number, channels, height, pixels), (*seen.shape[:-1], pixels)
+    layers = torch.empty(size, dtype=torch.float32)
     is_new = not isinstance(begun, LayerWords)
     source = begun if isinstance(begun, Tensor) else layers
-    fits = seen.is_contiguous() and source.shape == seen.shape and source.stride(-1) == 1
-    if (subframes, found, channels, ly, lx) != expected or not fits:
+    fits = source.shape == size and source.stride(-1) == 1
+    is_of_words = seen.is_contiguous() and seen.shape[-1] == words.width
+    if size[-5:] != expected or not fits or not is_of_words:
         raise ValueError(f"found layers of shape {tuple(source.shape)}, expected {expected}")
-    target = torch.empty((*seen.shape[:-1], words.width), dtype=torch.uint16)
     now, ago = (
-        (torch.empty_like(target), torch.empty_like(target))
+        (torch.empty_like(seen), torch.empty_like(seen))
         if is_new
         else (begun.now.clone(), begun.ago.clone())
     )
-    given = layers, seen, now, ago, target
+    given = layers, now, ago, seen
     arrays = _Arrays(*(each.detach().flatten(end_dim=-5).numpy() for each in given))
     planes_of = source.detach().flatten(end_dim=-5).numpy()  # not to be let go before the end
     place = _Place(planes_of.ctypes.data, *planes_of.strides[:4])
     refinement = begun if isinstance(begun, Refinement) else NOT_REFINED
-    loads = 0 if not is_new else _GIVEN if isinstance(begun, Tensor) else _REFINED
     planes, reach = len(arrays.made) * channels, int(words.reach[0])
     for first in range(0, len(pushes), _AT_ONCE):
-        turns = [] if first > 0 else [(_LOAD, loads, 0)]
+        loads = _REFINED if isinstance(begun, Refinement) else _GIVEN
+        turns = [(_LOAD, loads, 0)] if first == 0 and is_new else []
         for n, push in enumerate(pushes[first : first + _AT_ONCE], first):
             turns += (
                 [(_PUSH, round(push * _ONE), (made + n) * _STRIDE % 2**16)]
@@ -108,7 +108,7 @@ def swept(
     return layers, LayerWords(now, ago)
 
 
-_ZERO, _BRIGHTEST = np.float32(0), np.float32(2**15 - 1)  # the light of all views together
+_ZERO = np.float32(0)
 _ask_for = native("layerfield.kernels.ahead", "ask_for_bytes")
 _add_up = native("layerfield.kernels.word_lanes", "add_up")
 _add_masked = native("layerfield.kernels.word_lanes", "add_masked")
@@ -119,10 +119,9 @@ _to_light = native("layerfield.kernels.word_lanes", "to_light")
 
 
 class _Arrays(NamedTuple):
-    """`[n, layer, c, y, x]`: what is made, and b; in words P, P of one sweep ago, and b."""
+    """`[n, layer, c, y, x]`: what is made; in words P, P of one sweep ago, and b."""
 
     made: np.ndarray
-    seen: np.ndarray
     now: np.ndarray
     ago: np.ndarray
     target: np.ndarray
@@ -197,9 +196,9 @@ def _settle_parts(arrays, begun, words, turns, parts, begin, end):
 def _settle_with(kept, room, arrays, begun, words, turns, parts, begin, end):
     """The same, with what a thread has for a row.
 
-    Turns make words of pictures, push words on, or find a layer, the last ones as a picture, too.
+    Turns make words of layers, push words on, or find a layer, the last ones as a picture, too.
     """
-    number, channels, height = arrays.seen.shape[1:4]
+    number, channels, height = arrays.made.shape[1:4]
     reach, found = words.reach[0], kept.found
     for part in range(begin, end):
         item, channel = divmod(parts[part, 0], channels)
@@ -212,12 +211,11 @@ def _settle_with(kept, room, arrays, begun, words, turns, parts, begin, end):
                 row, layer = (item * number * channels + channel) * height + y, channels * height
                 if what == _LOAD:
                     for j in range(number):
-                        _load_light(arrays, words, row + j * layer)
                         if share == _REFINED:
                             _refine(kept, arrays, begun[1], words, row + j * layer)
-                        elif share == _GIVEN:
+                        else:
                             here = _place_of(begun[0], item, j, channel, y)
-                            _ask_for(here + begun[0].rows, 4 * arrays.seen.shape[4])
+                            _ask_for(here + begun[0].rows, 4 * arrays.made.shape[4])
                             _load_layer(arrays, words, row + j * layer, here)
                 elif what == _PUSH:
                     for j in range(number):
@@ -243,15 +241,6 @@ def _thresholds(words, row):
 
 
 @compiled
-def _load_light(arrays, words, row):
-    """Make words of a row of b."""
-    width, to = arrays.seen.shape[4], arrays.target.ctypes.data + 2 * row * words.width
-    here, share = arrays.seen.ctypes.data + 4 * row * width, np.float32(words.most / words.weight)
-    _ask_for(here + 4 * width, 4 * width)
-    _to_words((to,), here, share, _BRIGHTEST, width)
-
-
-@compiled
 def _place_of(begun, item, layer, channel, y):
     """Return where a row is."""
     plane = begun.address + item * begun.items + layer * begun.layers + channel * begun.channels
@@ -261,7 +250,7 @@ def _place_of(begun, item, layer, channel, y):
 @compiled
 def _refine(kept, arrays, refinement, words, row):
     """Make words of a row that is made of layers of half size."""
-    plane, y = divmod(row, arrays.seen.shape[3])
+    plane, y = divmod(row, arrays.made.shape[3])
     refine_row(kept.light, refinement, plane, y, kept.beside, kept.wide)
     _load_layer(arrays, words, row, kept.light.ctypes.data)
 
@@ -271,7 +260,7 @@ def _load_layer(arrays, words, row, here):
     """Make words of a row of a layer."""
     place, most = 2 * row * words.width, np.float32(words.most)
     both = arrays.now.ctypes.data + place, arrays.ago.ctypes.data + place
-    _to_words(both, here, most, most, arrays.seen.shape[4])
+    _to_words(both, here, most, most, arrays.made.shape[4])
 
 
 @compiled
@@ -309,7 +298,7 @@ def _add_columns(room, words, k, is_seen):
 @compiled
 def _find(arrays, words, room, place, row, is_last):
     """Find a row of a layer, as a picture, too, if nothing follows."""
-    (k, y), width, total = place, arrays.seen.shape[4], room.total
+    (k, y), width, total = place, arrays.made.shape[4], room.total
     count, here = words.row_counts[k, y], arrays.now.ctypes.data + 2 * row * words.width
     table = 2 * (count * words.gains.shape[1] + k) * words.width
     rows = (
@@ -345,7 +334,7 @@ def _kept(words, arrays, refinement):
                 mask = words.masks.ctypes.data + 2 * (k * bands + band) * words.width
                 masks[0, k, band], masks[1, k, band] = mask, mask + 2 * right
     total, found = np.zeros(words.width, np.uint16), np.empty(bands, np.int64)
-    light = np.empty(arrays.seen.shape[4], np.float32)
+    light = np.empty(arrays.made.shape[4], np.float32)
     beside, wide = room_to_refine(refinement)
     return _Kept(sums, total, found, across, masks, light, beside, wide)
 

@@ -12,6 +12,7 @@ import numpy as np
 from layerfield.grid_system import Bands, GridSystem
 
 WORDS = 32  # that go side by side; rows are as long as a multiple of them
+EDGE = 16  # beside an edge; there sums have masks, and take longer
 _LARGEST, _LARGEST_LIGHT = 2**16 - 1, 2**15 - 1  # of sums, and of light that is multiplied
 _FEWEST, _MOST = 255, 2**14 - 1  # of pixels: panels show so many; less than twice of it is a word
 _BITS = 16
@@ -127,7 +128,7 @@ def _quotients(views: np.ndarray) -> Sequence[np.ndarray]:
 
 
 def _inside(columns: Bands, width: int) -> np.ndarray:
-    """Return from which word to which all positions see columns, in whole vectors."""
+    """Return from which word to which all positions see columns, by `EDGE` words."""
     left, right = columns.inside.T
-    begin, end = -(-left // WORDS) * WORDS, right // WORDS * WORDS
+    begin, end = -(-left // EDGE) * EDGE, right // EDGE * EDGE
     return np.stack([begin, np.where(end > begin, end, begin)], axis=1).clip(max=width)

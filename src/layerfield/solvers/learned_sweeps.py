@@ -163,7 +163,7 @@ class LearnedSweeps:
         count: int,
     ) -> SweptState:
         pushes = self._pushes(made, count)
-        layers, known = swept(words, problem.back_projected, begun, pushes, made)
+        layers, known = swept(words, problem.back_projected_words, begun, pushes, made)
         return SweptState(layers, made + count, known)
 
     def _pushes(self, made: int, count: int) -> Sequence[float]:

@@ -71,7 +71,7 @@ class LearnedCard:
 
 
 @dataclass(frozen=True)
-class Rows:
+class StepConstants:
     """What a number of steps depends on: see `LearnedAdmm` and, for `newton`, `NewtonAdmm`."""
 
     full: Sequence[Constants]
@@ -92,7 +92,7 @@ class Rows:
         return found | {f"relief.{n}": each.contiguous() for n, each in enumerate(parts)}
 
     @classmethod
-    def of(cls, tensors: Mapping[str, Tensor]) -> "Rows":
+    def of(cls, tensors: Mapping[str, Tensor]) -> "StepConstants":
         """Return what `tensors` were made from.
 
         Raises:
@@ -114,10 +114,10 @@ class Learned:
         card: what its file says.
     """
 
-    steps: Mapping[int, Rows]
+    steps: Mapping[int, StepConstants]
     card: LearnedCard
 
-    def at_most(self, count: int) -> Rows:
+    def at_most(self, count: int) -> StepConstants:
         """Return the constants of the largest number of steps that does not exceed a count.
 
         Of none, those of the smallest.
@@ -162,7 +162,7 @@ def read_learned(path: Path) -> Learned:
             for name in sorted(file.keys()):
                 number, _, part = name.partition(".")
                 parts[int(number)][part] = file.get_tensor(name)
-        made = {number: Rows.of(known) for number, known in sorted(parts.items())}
+        made = {number: StepConstants.of(known) for number, known in sorted(parts.items())}
     except FileNotFoundError:
         raise ValueError(f"there is no file {path}; expected learned steps") from None
     except (SafetensorError, KeyError, ValueError, TypeError, OSError):

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from layerfield.fast import Rows
+from layerfield.fast import StepConstants
 from layerfield.frequencies import (
     Matrix,
     Spectral,
@@ -63,12 +63,12 @@ class LearnedSteps(nn.Module):
         self.relief = nn.ParameterList(_first_relief(relief) if relief and full > 1 else [])
 
     @torch.no_grad()
-    def rows(self) -> Rows:
+    def rows(self) -> StepConstants:
         """Return what was learned."""
         made = _real(self.full), _real(self.coarse, SOFTEST), _real(self.newton)
         constants = (tuple(Constants(*row) for row in rows.tolist()) for rows in made)
         tensors = [each.detach().clone() for each in self.relief]
-        return Rows(*constants, relief=Relief.of(tensors) if tensors else None)
+        return StepConstants(*constants, relief=Relief.of(tensors) if tensors else None)
 
     def again(self, layers: int) -> Float[Tensor, ""]:
         """Return the momentum from frame to frame, of so many layers; see `WarmAdmm`."""

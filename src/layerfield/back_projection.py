@@ -67,7 +67,7 @@ def back_projected_words(
     held = _held_by(projection, views, weights)
     if held is None or not code_sums.serve(views.stored):
         return words_of_light(back_projected(projection, views, weights), words)
-    return words_of_codes(*_codes(projection, views, held, weights[0]), words)
+    return words_of_codes(_codes(projection, views, held, weights[0]), words)
 
 
 def _held_by(
@@ -83,10 +83,10 @@ def _held_by(
 
 def _codes(
     projection: Projection, views: KeptViews, dtype: torch.dtype, weight: float
-) -> tuple[Tensor, code_sums.Paths, tuple[int, int], torch.dtype, float]:
+) -> code_sums.Codes:
     """Return what compiled loops add up."""
     size, unit = projection.layer_size(views.stored), weight / LARGEST[views.stored.dtype]
-    return views.stored, _paths_of(projection), size, dtype, unit
+    return code_sums.Codes(views.stored, _paths_of(projection), size, dtype, unit)
 
 
 @lru_cache
@@ -98,7 +98,7 @@ def _paths_of(projection: Projection) -> code_sums.Paths:
 def _summed(projection: Projection, views: KeptViews, dtype: torch.dtype, weight: float) -> Tensor:
     """A^T of codes for shifts of whole pixels, in whole numbers, then of what they stand for."""
     if code_sums.serve(views.stored):
-        return code_sums.code_sums(*_codes(projection, views, dtype, weight))
+        return code_sums.code_sums(_codes(projection, views, dtype, weight))
     layers = _none(projection, views, dtype)
     for piece in pieces(projection, views):
         codes, part = piece.of_views(views).stored, piece.of_layers(layers).unbind(dim=-4)

@@ -4,7 +4,8 @@ Codes are summed up as the whole numbers they are: exact, and with twice or four
 time as floats.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -45,46 +46,44 @@ def serve(codes: Tensor) -> bool:
     return codes.device.type == "cpu" and not is_plain()
 
 
-def code_sums(
-    codes: Num[Tensor, "*batch view c y x"],
-    paths: Paths,
-    layer_size: tuple[int, int],
-    dtype: torch.dtype,
-    unit: float,
-) -> Float[Tensor, "*batch layer c ly lx"]:
-    """Return the sum over views of codes, each moved as a layer lies beneath it.
+class Codes(NamedTuple):
+    """Codes of views, and how they are added up on layers.
 
     Args:
-        codes: whole numbers.
+        views: `[*batch, view, c, y, x]`, whole numbers.
         paths: see `paths_of`.
         layer_size: rows and columns of the layers.
         dtype: whole numbers that hold the sums.
         unit: what code 1 stands for.
     """
-    seen, result, held = none_of(codes, paths, layer_size, dtype, torch.float32)
-    given = result.view(-1, *result.shape[-4:]).numpy(), seen, paths, held, two_parts(unit)
-    count = result[..., 0, :, :, 0].numel()
-    _add_rows.in_spans(*given, count=count, numbers=seen.size)
-    return result
+
+    views: Tensor
+    paths: Paths
+    layer_size: tuple[int, int]
+    dtype: torch.dtype
+    unit: float
+
+    def none(self, width: int, dtype: torch.dtype) -> Num[Tensor, "*batch layer c ly width"]:
+        """Return memory for what is made of the sums, in rows of a width."""
+        *batch, _, channels, _, _ = self.views.shape
+        shape = *batch, len(self.paths.views), channels, self.layer_size[0], width
+        return torch.empty(shape, dtype=dtype)
+
+    def add_(self, loop: Callable[..., None], made: Tensor, *more: Any) -> None:
+        """Have a compiled loop write rows of what is made, all layers of a row at a time."""
+        to = made.view(-1, *made.shape[-4:]).numpy()
+        seen = self.views.contiguous().view(-1, *self.views.shape[-4:]).numpy()
+        held = torch.zeros(1, dtype=self.dtype).numpy()
+        units = np.float32(self.unit), np.float32(self.unit - float(np.float32(self.unit)))
+        count = len(to) * to.shape[2] * to.shape[3]
+        loop(to, seen, self.paths, held, units, *more, count=count, numbers=seen.size)
 
 
-def none_of(
-    codes: Num[Tensor, "*batch view c y x"],
-    paths: Paths,
-    layer_size: tuple[int, int],
-    dtype: torch.dtype,
-    made: torch.dtype,
-) -> tuple[np.ndarray, Num[Tensor, "*batch layer c ly lx"], np.ndarray]:
-    """Return codes for compiled loops, memory for what is made of them, and a sum of none."""
-    *batch, _, channels, _, _ = codes.shape
-    shape = (*batch, len(paths.views), channels, *layer_size)
-    seen = codes.contiguous().view(-1, *codes.shape[-4:]).numpy()
-    return seen, torch.empty(shape, dtype=made), torch.zeros(1, dtype=dtype).numpy()
-
-
-def two_parts(unit: float) -> tuple[np.float32, np.float32]:
-    """Return a number in single precision, and what that leaves of it."""
-    return np.float32(unit), np.float32(unit - float(np.float32(unit)))
+def code_sums(codes: Codes) -> Float[Tensor, "*batch layer c ly lx"]:
+    """Return the sum over views of codes, each moved as a layer lies beneath it."""
+    made = codes.none(codes.layer_size[1], torch.float32)
+    codes.add_(_add_rows.in_spans, made)
+    return made
 
 
 _add_codes = native("layerfield.kernels.code_lanes", "add_codes")

@@ -2,11 +2,11 @@
 
 import numpy as np
 import torch
-from jaxtyping import Float, Num, UInt16
+from jaxtyping import Float, UInt16
 from torch import Tensor
 
 from layerfield.kernels.blends import planes_of
-from layerfield.kernels.code_sums import Paths, none_of, sum_row, two_parts
+from layerfield.kernels.code_sums import Codes, sum_row
 from layerfield.kernels.compiled import compiled, native
 from layerfield.kernels.words import Words
 
@@ -30,28 +30,10 @@ def words_of_light(
     return made
 
 
-def words_of_codes(
-    codes: Num[Tensor, "*batch view c y x"],
-    paths: Paths,
-    layer_size: tuple[int, int],
-    dtype: torch.dtype,
-    unit: float,
-    words: Words,
-) -> UInt16[Tensor, "*batch layer c ly words"]:
-    """Return the same of codes, without a picture of floats between.
-
-    Args:
-        codes: see `code_sums`, as the others.
-        paths: of light.
-        layer_size: rows and columns of the layers.
-        dtype: whole numbers that hold the sums.
-        unit: what code 1 stands for.
-        words: the normal equations.
-    """
-    seen, made, held = none_of(codes, paths, (layer_size[0], words.width), dtype, torch.uint16)
-    given = made.view(-1, *made.shape[-4:]).numpy(), seen, paths, held, two_parts(unit)
-    count = made[..., 0, :, :, 0].numel()
-    _add_rows.in_spans(*given, layer_size[1], _share(words), count=count, numbers=seen.size)
+def words_of_codes(codes: Codes, words: Words) -> UInt16[Tensor, "*batch layer c ly words"]:
+    """Return the same of codes, without a picture of floats between."""
+    made = codes.none(words.width, torch.uint16)
+    codes.add_(_add_rows.in_spans, made, codes.layer_size[1], _share(words))
     return made
 
 

@@ -82,9 +82,9 @@ def swept(
     planes_of = source.detach().flatten(end_dim=-5).numpy()  # not to be let go before the end
     place = _Place(planes_of.ctypes.data, *planes_of.strides[:4])
     refinement = begun if isinstance(begun, Refinement) else NOT_REFINED
+    loads = _REFINED if isinstance(begun, Refinement) else _GIVEN
     planes, reach = len(arrays.made) * channels, int(words.reach[0])
     for first in range(0, len(pushes), _AT_ONCE):
-        loads = _REFINED if isinstance(begun, Refinement) else _GIVEN
         turns = [(_LOAD, loads, 0)] if first == 0 and is_new else []
         for n, push in enumerate(pushes[first : first + _AT_ONCE], first):
             turns += (

@@ -17,7 +17,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import torch
-from five_fields import five_fields
+from five_fields import OPTIONS, five_fields
 from outputs import output_file
 
 from layerfield import Display
@@ -38,13 +38,16 @@ def arrivals(path: Path) -> list[Reached]:
     """Return when methods came near enough.
 
     Raises:
-        ValueError: the file is no record of a benchmark.
+        ValueError: the file is no record of a benchmark, or `fast` does not arrive in it.
     """
     try:
-        records = json.loads(path.read_text("utf-8"))["rows"]
+        rows = [*map(BenchRow.of_record, json.loads(path.read_text("utf-8"))["rows"])]
     except (OSError, ValueError, TypeError, KeyError):
         raise ValueError(f"{path} is no bench.json; make one with frontier.py --arrival") from None
-    return [each for each in reached([*map(BenchRow.of_record, records)]) if each.seconds]
+    found = [each for each in reached(rows) if each.seconds and each.field in OPTIONS]
+    if not any(each.method == FAST for each in found):
+        raise ValueError(f"{path} has no arrival of {FAST}; make one with frontier.py --arrival")
+    return found
 
 
 def turns_of(found: list[Reached], views: EightBitViews, display: Display) -> list[dict]:

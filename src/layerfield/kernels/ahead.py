@@ -8,8 +8,10 @@ from numba.core import cgutils
 from numba.core import types as kinds
 from numba.extending import intrinsic
 
+_BYTE = ir.IntType(8)
+_TO_READ, _DATA = 0, 1
 _LINE = 64  # bytes that memory is fetched in
-_HOW = 0, 2, 1  # to be read, into the second cache, data
+_FIRST, _SECOND = 3, 2  # caches that it is fetched into
 
 
 @intrinsic
@@ -29,18 +31,27 @@ def ask_for_bytes(_: Any, address: Any, count: Any) -> Any:
     """Have so many bytes fetched, from an address on, and go on; nothing need be there."""
 
     def generate(context: Any, builder: Any, _: Any, values: Sequence[Any]) -> Any:
-        _fetch(builder, builder.inttoptr(values[0], ir.IntType(8).as_pointer()), values[1])
+        _fetch(builder, builder.inttoptr(values[0], _BYTE.as_pointer()), values[1])
         return context.get_dummy_value()
 
     return kinds.void(address, count), generate
 
 
+def fetch_line(builder: Any, address: Any) -> None:
+    """Have what is at an address fetched into the first cache: it is needed soon."""
+    _fetch_line(builder, builder.inttoptr(address, _BYTE.as_pointer()), _FIRST)
+
+
 def _fetch(builder: Any, data: Any, count: Any) -> None:
     """Ask for every line of so many bytes."""
-    place, number = ir.IntType(8).as_pointer(), ir.IntType(32)
-    kind = ir.FunctionType(ir.VoidType(), [place, number, number, number])
-    fetch = builder.module.declare_intrinsic("llvm.prefetch", [place], kind)
-    first, how = builder.bitcast(data, place), [number(each) for each in _HOW]
+    first = builder.bitcast(data, _BYTE.as_pointer())
     span = count.type(0), count, count.type(_LINE), count.type
     with cgutils.for_range_slice(builder, *span) as (at, _):
-        builder.call(fetch, [builder.gep(first, [at]), *how])
+        _fetch_line(builder, builder.gep(first, [at]), _SECOND)
+
+
+def _fetch_line(builder: Any, place: Any, cache: int) -> None:
+    number = ir.IntType(32)
+    kind = ir.FunctionType(ir.VoidType(), [place.type, number, number, number])
+    fetch = builder.module.declare_intrinsic("llvm.prefetch", [place.type], kind)
+    builder.call(fetch, [place, *map(number, (_TO_READ, cache, _DATA))])

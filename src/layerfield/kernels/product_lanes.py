@@ -14,11 +14,13 @@ from numba.core import cgutils
 from numba.core import types as kinds
 from numba.extending import intrinsic
 
+from layerfield.kernels.ahead import fetch_line
 from layerfield.kernels.lanes import FREE
+from layerfield.kernels.product_sweeps import AHEAD, LANES
 from layerfield.kernels.side_by_side import WHOLE, Lanes
 
 _FLOAT, _INT = ir.FloatType(), ir.IntType(32)
-_LANES, _VECTORS = 16, 2
+_VECTORS = 2
 _LEAST = 1e-12  # curvature: one over less than that may be infinite
 
 
@@ -38,6 +40,9 @@ def settle_paths(
     o_i is the product of the pixels of all other layers along the path of view i. Pixels through
     which nothing shines stay. Returned is the sum of (A - P) (P - P of one sweep ago).
 
+    Rows of whole numbers are read past their ends: from where the row of the layer begins on, and
+    up to `LANES` behind its end. What is found there is multiplied by 0.
+
     Args:
         others: something for every other layer; they are known when this is compiled.
         codes: an array of the kind of numbers that L is kept in, whole ones or floats.
@@ -45,7 +50,7 @@ def settle_paths(
         paths: where the tables of the views are that look at the row: addresses of the row of the
             first other layer, those of the next ones behind it, where pixel 0 of the row would
             look; of the row of L; first columns; weights.
-        number: of views.
+        number: of views. The table of rows of L goes on for `AHEAD` more, whatever they are.
         span: columns of the row; from where to where all views look; columns of a view.
         limits: least and most; and what L is multiplied by.
     """
@@ -59,17 +64,17 @@ def settle_paths(
         made, ago = cgutils.unpack_tuple(builder, rows)
         tables, bounds = (cgutils.unpack_tuple(builder, each) for each in (paths, limits))
         known = _Paths(builder, tables, bounds, number, count, code)
-        total = cgutils.alloca_once_value(builder, Lanes(builder, _LANES).constant(_FLOAT, 0.0))
-        step = _LANES * _VECTORS
+        total = cgutils.alloca_once_value(builder, Lanes(builder, LANES).constant(_FLOAT, 0.0))
+        step = LANES * _VECTORS
         whole = builder.and_(builder.sub(end, begin), WHOLE(-step))
         until = builder.add(begin, whole)
         with cgutils.for_range_slice(builder, begin, until, WHOLE(step), WHOLE) as (at, _):
-            places = [builder.add(at, WHOLE(_LANES * n)) for n in range(_VECTORS)]
+            places = [builder.add(at, WHOLE(LANES * n)) for n in range(_VECTORS)]
             known.settle(made, ago, places, total)
         for first, last in ((WHOLE(0), begin), (until, width)):
-            with cgutils.for_range_slice(builder, first, last, WHOLE(_LANES), WHOLE) as (at, _):
+            with cgutils.for_range_slice(builder, first, last, WHOLE(LANES), WHOLE) as (at, _):
                 known.settle(made, ago, [at], total, (last, columns))
-        parts = Lanes(builder, _LANES).each(builder.load(total))
+        parts = Lanes(builder, LANES).each(builder.load(total))
         return reduce(partial(builder.fadd, flags=FREE), parts)
 
     return kinds.float32(*given), generate
@@ -92,7 +97,8 @@ class _Paths:
             builder.inttoptr(each, whole) for each in tables[:3]
         )
         self._builder, self._number, self._count, self._code = builder, number, count, code
-        self._lanes, self._limits = Lanes(builder, _LANES), limits
+        self._lanes, self._limits = Lanes(builder, LANES), limits
+        self._size = code.width // 8 if isinstance(code, ir.IntType) else 4
 
     def settle(
         self, made: Any, ago: Any, places: Sequence[Any], total: Any, ends: Any = None
@@ -112,20 +118,21 @@ class _Paths:
         with cgutils.for_range(builder, self._number) as view:
             n, seen = view.index, inside
             if ends is not None:
-                left = self._load(self._lefts, n)
-                here = builder.sub(places[0], left)
+                here = builder.sub(places[0], self._load(self._lefts, n))
                 seen = builder.and_(inside, self._below(here, ends[1]))
-                seen = builder.and_(seen, self._below(here, None))
             weight, light = lanes.all(self._load(self._weights, n)), self._load(self._light, n)
             rows = [
                 self._load(self._others, builder.add(builder.mul(n, WHOLE(self._count)), WHOLE(j)))
                 for j in range(self._count)
             ]
+            if ends is None:
+                ahead = self._load(self._light, builder.add(n, WHOLE(AHEAD)))
+                fetch_line(builder, builder.add(ahead, builder.mul(places[0], WHOLE(self._size))))
             for place, (first, second) in zip(places, sums, strict=True):
-                through = self._ones() if not rows else self._read(rows[0], place, _FLOAT, seen)
+                through = self._ones() if not rows else self._read(rows[0], place, seen)
                 for row in rows[1:]:
-                    through = multiplied(through, self._read(row, place, _FLOAT, seen))
-                shown, force = self._read(light, place, self._code, seen), weight
+                    through = multiplied(through, self._read(row, place, seen))
+                shown, force = self._shown(light, place, seen), weight
                 if seen is not None:
                     force = builder.select(seen, weight, lanes.constant(_FLOAT, 0.0))
                 force = multiplied(through, force)
@@ -139,7 +146,7 @@ class _Paths:
         low, high, unit = map(lanes.all, self._limits)
         light, bent = sums
         zero, least = (lanes.constant(_FLOAT, each) for each in (0.0, _LEAST))
-        begun, before = (self._read(row, place, _FLOAT, inside) for row in (made, ago))
+        begun, before = (self._read(row, place, inside) for row in (made, ago))
         rest = builder.fsub(self._times(light, unit), self._times(begun, bent), flags=FREE)
         divisor = builder.select(builder.fcmp_ordered(">", bent, least), bent, least)
         found = builder.fadd(begun, builder.fdiv(rest, divisor, flags=FREE), flags=FREE)
@@ -153,17 +160,22 @@ class _Paths:
             part = builder.select(inside, part, zero)
         self._add(total, part)
 
-    def _read(self, row: Any, place: Any, kind: ir.Type, seen: Any) -> Any:
-        """Return numbers of a row as floats; those that are not seen are 0."""
+    def _read(self, row: Any, place: Any, seen: Any) -> Any:
+        """Return pixels of a row; those that are not seen are 0, and not looked at."""
+        if seen is None:
+            return self._lanes.read(row, place, _FLOAT)
+        return self._lanes.read_some(row, place, _FLOAT, seen)
+
+    def _shown(self, row: Any, place: Any, seen: Any) -> Any:
+        """Return numbers of L as floats; whole ones also where they are not seen.
+
+        Processors that have no masks for bytes would look at them one by one.
+        """
+        if self._code is _FLOAT:
+            return self._read(row, place, seen)
         builder, lanes = self._builder, self._lanes
-        found = (
-            lanes.read(row, place, kind)
-            if seen is None
-            else lanes.read_some(row, place, kind, seen)
-        )
-        if kind is _FLOAT:
-            return found
-        return builder.sitofp(builder.zext(found, lanes.of(_INT)), lanes.of(_FLOAT))
+        found = builder.zext(lanes.read(row, place, self._code), lanes.of(_INT))
+        return builder.sitofp(found, lanes.of(_FLOAT))
 
     def _write(self, values: Any, row: Any, place: Any, inside: Any) -> None:
         if inside is None:
@@ -172,13 +184,11 @@ class _Paths:
             self._lanes.write_some(values, row, place, inside)
 
     def _below(self, place: Any, end: Any) -> Any:
-        """Return which of the numbers from a place on come before an end, or not before 0."""
+        """Return which of the numbers from a place on are not before 0, and come before an end."""
         builder, lanes = self._builder, self._lanes
-        steps = ir.Constant(lanes.of(_INT), [*range(_LANES)])
+        steps = ir.Constant(lanes.of(_INT), [*range(LANES)])
         here = builder.add(lanes.all(builder.trunc(place, _INT)), steps)
-        if end is None:
-            return builder.icmp_signed(">=", here, lanes.constant(_INT, 0))
-        return builder.icmp_signed("<", here, lanes.all(builder.trunc(end, _INT)))
+        return builder.icmp_unsigned("<", here, lanes.all(builder.trunc(end, _INT)))
 
     def _zero(self) -> Any:
         zero = self._lanes.constant(_FLOAT, 0.0)

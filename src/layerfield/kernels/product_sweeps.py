@@ -28,6 +28,8 @@ from layerfield.projection import Projection
 
 Layers = Float[Tensor, "*batch 1 layer c ly lx"]
 
+LANES = 16  # pixels that stand side by side, at the least
+AHEAD = 8  # views, from when what one shows is fetched to when it is its turn
 _MOST = 1 << 28  # words of light: half a gigabyte
 _LIGHT = WeakKeyDictionary[KeptViews, KeptViews]()  # as long as the views are kept
 
@@ -130,26 +132,31 @@ _settle_paths = native("layerfield.kernels.product_lanes", "settle_paths")
 
 
 class _Room(NamedTuple):
-    """What a thread has for a row: the tables of `settle_paths`, and light that was looked up."""
+    """What a thread has for a row: the tables of `settle_paths`, and light beside nothing.
+
+    That is rows as long as those of layers, and `LANES` more: looked up, or as they are stored.
+    """
 
     others: np.ndarray
     light: np.ndarray
     lefts: np.ndarray
     weights: np.ndarray
     looked_up: np.ndarray
+    copied: np.ndarray
 
 
 @compiled
 def _settle_parts(each, arrays, uphill, views, paths, pushes, parts, limits, begin, end):
     """Parts from and to, layer by layer behind what they begin with; see `parts_of`."""
     number, channels = arrays.made.shape[1:3]
-    count, width = views.stored.shape[1], views.stored.shape[4]
+    count, width = views.stored.shape[1], arrays.made.shape[4] + LANES
     room = _Room(
         np.empty((count, max(1, number - 1)), np.int64),
-        np.empty(count, np.int64),
+        np.zeros(count + AHEAD, np.int64),
         np.empty(count, np.int64),
         np.empty(count, np.float32),
-        np.empty((count if len(views.table) > 0 else 0, width), np.float32),
+        np.zeros((count if len(views.table) > 0 else 0, width), np.float32),
+        np.zeros((0 if len(views.table) > 0 else count, width), views.stored.dtype),
     )
     for part in range(begin, end):
         item, channel = divmod(parts[part, 0], channels)
@@ -215,7 +222,7 @@ def _find_paths(made, views, paths, room, place, level):
                 there = (row + paths.top[i, j]) * row_size + (paths.left[i, j] - left) * size
                 room.others[seen, n] = level + j * layer_size + there
                 n += 1
-        room.light[seen] = _light_at(views, room, (item, i, channel, row), left, seen, k == 0)
+        room.light[seen] = _light_at(views, room, (item, i, channel, row), left, seen)
         room.lefts[seen], room.weights[seen] = left, views.weights[i]
         first, last = max(first, left), min(last, left + columns)
         seen += 1
@@ -223,19 +230,23 @@ def _find_paths(made, views, paths, room, place, level):
 
 
 @compiled
-def _light_at(views, room, place, left, seen, is_first):
+def _light_at(views, room, place, left, seen):
     """Return where what a row of a view shows at pixel 0 of the layer's row would be.
 
-    The first layer that asks for it has the next row fetched.
+    Rows are read past their ends, see `settle_paths`: the first and last of all views are copied.
+    The next row of the view is fetched meanwhile.
     """
-    item, i, channel, row = place
-    if len(views.table) == 0:
-        codes = views.stored
-        steps = item * codes.strides[0] + i * codes.strides[1] + channel * codes.strides[2]
-        there = codes.ctypes.data + steps + row * codes.strides[3]
-        if is_first:
-            _ask_for(there + codes.strides[3], codes.strides[3])
-        return there - left * codes.strides[4]
-    codes, light = views.stored[item, i, channel, row], room.looked_up[seen]
-    look_up(light, codes, views.table)
-    return light.ctypes.data - 4 * left
+    (item, i, channel, row), codes = place, views.stored
+    if len(views.table) > 0:
+        light = room.looked_up[seen]
+        look_up(light[left : left + codes.shape[4]], codes[item, i, channel, row], views.table)
+        return light.ctypes.data
+    steps = item * codes.strides[0] + i * codes.strides[1] + channel * codes.strides[2]
+    steps += row * codes.strides[3] - left * codes.strides[4]
+    if steps < 0 or steps + room.copied.shape[1] * codes.strides[4] > codes.nbytes:
+        light = room.copied[seen]
+        light[left : left + codes.shape[4]] = codes[item, i, channel, row]
+        return light.ctypes.data
+    there = codes.ctypes.data + steps
+    _ask_for(there + codes.strides[3] + left * codes.strides[4], codes.strides[3])
+    return there

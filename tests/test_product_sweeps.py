@@ -8,6 +8,7 @@ from layerfield.display_spec import parse_spec
 from layerfield.kept_views import KeptViews
 from layerfield.kernels import product_sweeps
 from layerfield.kernels.compiled import plain
+from layerfield.kernels.product_sweeps import ProductSweeps
 from layerfield.links import Multiplicative
 from layerfield.problem import Problem
 from layerfield.projection import Projection
@@ -58,6 +59,14 @@ def begun(problem: Problem, push: float = 0.7) -> SweepsState:
     return SweepsState(layers, last, pushes, torch.zeros_like(pushes))
 
 
+def swept(
+    problem: Problem, layers: torch.Tensor, last: torch.Tensor, push: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    sweeps = ProductSweeps.along(problem.light_paths, (0.0, 1.0), 0.9)
+    made, _, _, since = sweeps(layers, last, push, torch.zeros_like(push), sweeps=1)
+    return made, since
+
+
 @pytest.mark.parametrize("kind", ["codes", "long codes", "light", "bright", "values"])
 @pytest.mark.parametrize("text", TEXTS)
 def test_a_sweep_is_what_pytorch_makes(text, kind):
@@ -87,10 +96,8 @@ def test_items_of_a_batch_have_pushes_of_their_own():
     problem = posed(TEXTS[0], (40, 50), batch=(2,))
     state = begun(problem)
     state.push[1] = 0
-    layers, uphill = product_sweeps.swept(
-        problem.light_paths, state.layers, state.last, state.push, (0.0, 1.0)
-    )
-    assert uphill.shape == state.push.shape
+    layers, count = swept(problem, state.layers, state.last, state.push)
+    assert count.shape == state.push.shape
     for n in range(2):
         alone = Problem(
             problem.projection,
@@ -99,9 +106,35 @@ def test_items_of_a_batch_have_pushes_of_their_own():
             problem.weights,
         )
         given = state.layers[n], state.last[n], state.push[n]
-        found, back = product_sweeps.swept(alone.light_paths, *given, (0.0, 1.0))
+        found, since = swept(alone, *given)
         assert torch.equal(found, layers[n])
-        assert torch.equal(back, uphill[n])
+        assert torch.equal(since, count[n])
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 8])
+def test_sweeps_at_once_are_those_one_after_the_other(count):
+    problem = posed(TEXTS[0], (150, 70), batch=(2,))
+    state = begun(problem)
+    given = [each.clone() for each in (state.layers, state.last, state.push)]
+    found, expected = Sweeps().steps(problem, state, count), state
+    for _ in range(count):
+        expected = Sweeps().step(problem, expected)
+    for name in ("layers", "last", "push", "count"):
+        assert torch.equal(getattr(found, name), getattr(expected, name))
+    assert all(map(torch.equal, given, (state.layers, state.last, state.push)))
+
+
+def test_momentum_begins_anew_where_a_sweep_led_back():
+    problem = posed(TEXTS[0], (40, 50), batch=(2,))
+    state = begun(problem)
+    state.count[:] = 5
+    state.push[1] = 0
+    made = Sweeps().steps(problem, state, 4)
+    with plain():
+        expected = Sweeps().steps(problem, state, 4)
+    assert (made.count < 9).all()
+    assert torch.equal(made.count, expected.count)
+    assert torch.equal(made.push, expected.push)
 
 
 def test_views_of_no_weight_are_not_looked_at():
@@ -142,13 +175,7 @@ def test_layers_of_another_size_are_refused():
     problem = posed(TEXTS[0], (40, 50))
     state = begun(problem)
     with pytest.raises(ValueError, match="expected"):
-        product_sweeps.swept(
-            problem.light_paths,
-            state.layers[..., 1:],
-            state.last[..., 1:],
-            state.push,
-            (0.0, 1.0),
-        )
+        swept(problem, state.layers[..., 1:], state.last[..., 1:], state.push)
 
 
 @pytest.mark.parametrize("text", ["views = [5, 5]\ndisparity = [1.5, 0]"])

@@ -16,11 +16,11 @@ from numba.extending import intrinsic
 
 from layerfield.kernels.ahead import fetch_line
 from layerfield.kernels.lanes import FREE
-from layerfield.kernels.product_sweeps import AHEAD, LANES
+from layerfield.kernels.path_tables import AHEAD, EDGE
 from layerfield.kernels.side_by_side import WHOLE, Lanes
 
 _FLOAT, _INT = ir.FloatType(), ir.IntType(32)
-_VECTORS = 2
+_LANES, _VECTORS = 16, 2
 _LEAST = 1e-12  # curvature: one over less than that may be infinite
 
 
@@ -41,16 +41,16 @@ def settle_paths(
     which nothing shines stay. Returned is the sum of (A - P) (P - P of one sweep ago).
 
     Rows of whole numbers are read past their ends: from where the row of the layer begins on, and
-    up to `LANES` behind its end. What is found there is multiplied by 0.
+    up to `EDGE` behind its end. What is found there is multiplied by 0.
 
     Args:
         others: something for every other layer; they are known when this is compiled.
         codes: an array of the kind of numbers that L is kept in, whole ones or floats.
-        rows: addresses of A, which P is written into, and of P of one sweep ago.
-        paths: where the tables of the views are that look at the row: addresses of the row of the
-            first other layer, those of the next ones behind it, where pixel 0 of the row would
-            look; of the row of L; first columns; weights.
-        number: of views. The table of rows of L goes on for `AHEAD` more, whatever they are.
+        rows: addresses of A, which P is written into, of P of one sweep ago, and of L.
+        paths: where the tables of the views are that look at the row: how many bytes from A the row
+            of the first other layer begins, then those of the next ones, where pixel 0 of the row
+            would look; how many from L that of the view does; first columns; weights.
+        number: of views. The table of L goes on for `AHEAD` more, whatever they are.
         span: columns of the row; from where to where all views look; columns of a view.
         limits: least and most; and what L is multiplied by.
     """
@@ -61,21 +61,17 @@ def settle_paths(
     def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
         _, _, rows, paths, number, span, limits = values
         width, begin, end, columns = cgutils.unpack_tuple(builder, span)
-        made, ago = cgutils.unpack_tuple(builder, rows)
-        tables, bounds = (cgutils.unpack_tuple(builder, each) for each in (paths, limits))
-        known = _Paths(builder, tables, bounds, number, count, code)
-        total = cgutils.alloca_once_value(builder, Lanes(builder, LANES).constant(_FLOAT, 0.0))
-        step = LANES * _VECTORS
-        whole = builder.and_(builder.sub(end, begin), WHOLE(-step))
-        until = builder.add(begin, whole)
+        given = (cgutils.unpack_tuple(builder, each) for each in (rows, paths, limits))
+        known = partial(_Paths, builder, *given, number, count, code)
+        whole, edge = known(_LANES), known(EDGE)
+        step = _LANES * _VECTORS
+        until = builder.add(begin, builder.and_(builder.sub(end, begin), WHOLE(-step)))
         with cgutils.for_range_slice(builder, begin, until, WHOLE(step), WHOLE) as (at, _):
-            places = [builder.add(at, WHOLE(LANES * n)) for n in range(_VECTORS)]
-            known.settle(made, ago, places, total)
+            whole.settle([builder.add(at, WHOLE(_LANES * n)) for n in range(_VECTORS)])
         for first, last in ((WHOLE(0), begin), (until, width)):
-            with cgutils.for_range_slice(builder, first, last, WHOLE(LANES), WHOLE) as (at, _):
-                known.settle(made, ago, [at], total, (last, columns))
-        parts = Lanes(builder, LANES).each(builder.load(total))
-        return reduce(partial(builder.fadd, flags=FREE), parts)
+            with cgutils.for_range_slice(builder, first, last, WHOLE(EDGE), WHOLE) as (at, _):
+                edge.settle([at], (last, columns))
+        return builder.fadd(whole.back(), edge.back(), flags=FREE)
 
     return kinds.float32(*given), generate
 
@@ -86,30 +82,34 @@ class _Paths:
     def __init__(
         self,
         builder: Any,
+        rows: Sequence[Any],
         tables: Sequence[Any],
         limits: Sequence[Any],
         number: Any,
         count: int,
         code: ir.Type,
+        lanes: int,
     ) -> None:
         whole, self._weights = WHOLE.as_pointer(), builder.inttoptr(tables[3], _FLOAT.as_pointer())
         self._others, self._light, self._lefts = (
             builder.inttoptr(each, whole) for each in tables[:3]
         )
+        self._made, self._ago, self._codes = rows
         self._builder, self._number, self._count, self._code = builder, number, count, code
-        self._lanes, self._limits = Lanes(builder, LANES), limits
+        self._lanes, self._steps, self._limits = Lanes(builder, lanes), range(lanes), limits
         self._size = code.width // 8 if isinstance(code, ir.IntType) else 4
+        self._total = self._zero()
 
-    def settle(
-        self, made: Any, ago: Any, places: Sequence[Any], total: Any, ends: Any = None
-    ) -> None:
+    def back(self) -> Any:
+        """Return the sum of (A - P) (P - P of one sweep ago) of what was settled."""
+        parts = self._lanes.each(self._builder.load(self._total))
+        return reduce(partial(self._builder.fadd, flags=FREE), parts)
+
+    def settle(self, places: Sequence[Any], ends: Any = None) -> None:
         """Settle pixels side by side from places on.
 
         Args:
-            made: see `settle_paths`.
-            ago: the same.
             places: of so many pixels each.
-            total: that (A - P) (P - P of one sweep ago) is added to.
             ends: of the row and of the columns of a view, where not all views look.
         """
         builder, lanes, multiplied = self._builder, self._lanes, self._times
@@ -120,13 +120,15 @@ class _Paths:
             if ends is not None:
                 here = builder.sub(places[0], self._load(self._lefts, n))
                 seen = builder.and_(inside, self._below(here, ends[1]))
-            weight, light = lanes.all(self._load(self._weights, n)), self._load(self._light, n)
+            weight = lanes.all(self._load(self._weights, n))
+            light = self._from(self._codes, self._light, n)
+            others = builder.mul(n, WHOLE(self._count))
             rows = [
-                self._load(self._others, builder.add(builder.mul(n, WHOLE(self._count)), WHOLE(j)))
+                self._from(self._made, self._others, builder.add(others, WHOLE(j)))
                 for j in range(self._count)
             ]
             if ends is None:
-                ahead = self._load(self._light, builder.add(n, WHOLE(AHEAD)))
+                ahead = self._from(self._codes, self._light, builder.add(n, WHOLE(AHEAD)))
                 fetch_line(builder, builder.add(ahead, builder.mul(places[0], WHOLE(self._size))))
             for place, (first, second) in zip(places, sums, strict=True):
                 through = self._ones() if not rows else self._read(rows[0], place, seen)
@@ -139,26 +141,26 @@ class _Paths:
                 self._add(first, multiplied(force, shown))
                 self._add(second, multiplied(force, through))
         for place, (first, second) in zip(places, sums, strict=True):
-            self._move(made, ago, place, (builder.load(first), builder.load(second)), total, inside)
+            self._move(place, (builder.load(first), builder.load(second)), inside)
 
-    def _move(self, made: Any, ago: Any, place: Any, sums: Any, total: Any, inside: Any) -> None:
+    def _move(self, place: Any, sums: Any, inside: Any) -> None:
         builder, lanes = self._builder, self._lanes
         low, high, unit = map(lanes.all, self._limits)
         light, bent = sums
         zero, least = (lanes.constant(_FLOAT, each) for each in (0.0, _LEAST))
-        begun, before = (self._read(row, place, inside) for row in (made, ago))
+        begun, before = (self._read(row, place, inside) for row in (self._made, self._ago))
         rest = builder.fsub(self._times(light, unit), self._times(begun, bent), flags=FREE)
         divisor = builder.select(builder.fcmp_ordered(">", bent, least), bent, least)
         found = builder.fadd(begun, builder.fdiv(rest, divisor, flags=FREE), flags=FREE)
         found = builder.select(builder.fcmp_ordered("<", found, low), low, found)
         found = builder.select(builder.fcmp_ordered(">", found, high), high, found)
         found = builder.select(builder.fcmp_ordered(">", bent, zero), found, begun)
-        self._write(found, made, place, inside)
+        self._write(found, self._made, place, inside)
         gone = builder.fsub(begun, found, flags=FREE)
         part = self._times(gone, builder.fsub(found, before, flags=FREE))
         if inside is not None:
             part = builder.select(inside, part, zero)
-        self._add(total, part)
+        self._add(self._total, part)
 
     def _read(self, row: Any, place: Any, seen: Any) -> Any:
         """Return pixels of a row; those that are not seen are 0, and not looked at."""
@@ -186,7 +188,7 @@ class _Paths:
     def _below(self, place: Any, end: Any) -> Any:
         """Return which of the numbers from a place on are not before 0, and come before an end."""
         builder, lanes = self._builder, self._lanes
-        steps = ir.Constant(lanes.of(_INT), [*range(LANES)])
+        steps = ir.Constant(lanes.of(_INT), [*self._steps])
         here = builder.add(lanes.all(builder.trunc(place, _INT)), steps)
         return builder.icmp_unsigned("<", here, lanes.all(builder.trunc(end, _INT)))
 
@@ -198,6 +200,9 @@ class _Paths:
 
     def _ones(self) -> Any:
         return self._lanes.constant(_FLOAT, 1.0)
+
+    def _from(self, origin: Any, offsets: Any, place: Any) -> Any:
+        return self._builder.add(origin, self._load(offsets, place))
 
     def _load(self, table: Any, place: Any) -> Any:
         return self._builder.load(self._builder.gep(table, [place]))

@@ -58,6 +58,9 @@ class FourierStart:
     def step(self, problem: Problem, state: SweepsState) -> SweepsState:
         return self.refine.step(problem, state)
 
+    def steps(self, problem: Problem, state: SweepsState, count: int) -> SweepsState:
+        return self.refine.steps(problem, state, count)
+
     def layers(
         self, problem: Problem, state: SweepsState
     ) -> Float[Tensor, "*batch subframe layer c ly lx"]:

@@ -10,6 +10,7 @@ from layerfield.grid_system import GridSystem
 from layerfield.kernels import grid_sweeps, product_sweeps, sweep_passes
 from layerfield.kernels.compiled import serve
 from layerfield.kernels.light_paths import Shares
+from layerfield.kernels.product_sweeps import ProductSweeps
 from layerfield.problem import Problem
 
 _LEFT = Shares(shown=-1, light=1)  # what is to be shown, less what is
@@ -63,11 +64,19 @@ class Sweeps:
         return SweepsState(layers, layers, none, none)
 
     def step(self, problem: Problem, state: SweepsState) -> SweepsState:
-        for _ in range(self.sweeps):
+        return self.steps(problem, state, 1)
+
+    def steps(self, problem: Problem, state: SweepsState, count: int) -> SweepsState:
+        paths = problem.light_paths
+        if product_sweeps.serves(paths, state.layers):
+            along = ProductSweeps.along(paths, problem.bounds, self.momentum)
+            known = state.layers, state.last, state.push, state.count
+            return SweepsState(*along(*known, sweeps=self.sweeps * count))
+        for _ in range(self.sweeps * count):
             layers, uphill = _swept(problem, state, exact=self.exact)
-            count = torch.where(uphill, 1, state.count + 1)
-            push = (2 * (count - 1) / (count + 2)).clamp(max=self.momentum)
-            state = SweepsState(layers, state.layers, push, count)
+            number = torch.where(uphill, 1, state.count + 1)
+            push = (2 * (number - 1) / (number + 2)).clamp(max=self.momentum)
+            state = SweepsState(layers, state.layers, push, number)
         return state
 
     def layers(
@@ -84,8 +93,6 @@ def _swept(problem: Problem, state: SweepsState, *, exact: bool) -> tuple[Tensor
     given, paths = (state.layers, state.last, state.push), problem.light_paths
     if not exact and sweep_passes.serve_colours(paths, state.layers, problem.bounds):
         return sweep_passes.swept_colours(paths, *given)
-    if product_sweeps.serves(paths, state.layers):
-        return product_sweeps.swept(paths, *given, problem.bounds)
     ahead = sweep_passes.ahead(*given, problem.bounds)
     if (grid := problem.grid()) is not None and state.layers.is_contiguous():
         seen = problem.back_projected

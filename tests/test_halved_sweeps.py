@@ -55,6 +55,17 @@ def test_a_display_has_the_solver_that_serves_it():
     assert small.refine.sweeps == 2
 
 
+def test_eight_bit_views_of_half_size_are_words():
+    problem = posed()
+    codes = KeptViews((problem.views.all() * 255).round().to(torch.uint8))
+    problem = replace(problem, views=codes)
+    _, small = halved(problem)
+    with plain():
+        _, expected = halved(problem)
+    assert small.views.stored.dtype == torch.uint16
+    assert (small.views.all() - expected.views.all()).abs().max() < 8e-6
+
+
 @pytest.mark.parametrize(
     "text", [FIVE, "views = [5, 5]\ndisparity = [1, -1]", "views = [9, 9]\ndisparity = [1, 0, -1]"]
 )

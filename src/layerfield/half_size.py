@@ -16,6 +16,7 @@ from torch import Tensor
 from torch.nn.functional import conv2d, interpolate, pad
 
 from layerfield.kept_views import LARGEST, KeptViews
+from layerfield.kernels.codes import codes_of
 from layerfield.kernels.compiled import serve
 from layerfield.kernels.halves import (
     Balanced,
@@ -99,16 +100,18 @@ def at_half_size(problem: Problem, half: Half) -> Problem:
 
     Those of 2x2 pixels would change with the first pixel: layers of a picture that moves by one
     would move less alike. Where light adds up codes stay such: they are summed up as whole numbers.
+    Where it is multiplied they become words of 16 bits, within 8e-6: each sweep reads them all.
     """
     weights = tuple(problem.weights[n] for n in half.views)
     views, stored = problem.views, problem.views.stored
     are_codes = stored.dtype == torch.uint8 and views.table is None
-    if are_codes and problem.link.is_sum and serve(views.like):
+    if not (are_codes and serve(views.like)):
+        views = KeptViews(_halved(views, half.views))
+    elif problem.link.is_sum:
         views = KeptViews(halved_codes(stored, half.views))
     else:
-        views = KeptViews(_halved(views, half.views))
-        if are_codes and serve(views.stored):
-            views = _in_words(views.stored)
+        words = codes_of(_halved(views, half.views), LARGEST[torch.uint16], torch.uint16)
+        views = KeptViews(words)
     return replace(problem, projection=half.projection, views=views, weights=weights)
 
 
@@ -206,11 +209,6 @@ def _halved(views: KeptViews, chosen: Sequence[int]) -> Float[Tensor, "*batch so
         share = 1 / LARGEST[views.stored.dtype] if views.is_whole else 1.0
         return halved_views(views.stored, chosen, views.table, share)
     return torch.stack([_mean(views.view(n)) for n in chosen], dim=-4)
-
-
-def _in_words(light: Float[Tensor, "*batch view c y x"]) -> KeptViews:
-    """Return light as words of 16 bits: half the memory, of which each sweep reads all."""
-    return KeptViews((light * LARGEST[torch.uint16]).round_().to(torch.uint16))
 
 
 def _mean(view: Float[Tensor, "*batch c y x"]) -> Float[Tensor, "*batch c hy hx"]:

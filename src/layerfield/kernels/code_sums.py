@@ -22,11 +22,13 @@ class Paths(NamedTuple):
         views: `[layer, n]`, where they begin.
         rows: `[layer, n]`, row of the layer beneath the first of a view.
         columns: likewise.
+        first: `[view]`, the least of the rows.
     """
 
     views: np.ndarray
     rows: np.ndarray
     columns: np.ndarray
+    first: np.ndarray
 
 
 def paths_of(offsets: np.ndarray) -> Paths:
@@ -38,7 +40,7 @@ def paths_of(offsets: np.ndarray) -> Paths:
     rows, columns = offsets.transpose(2, 1, 0)
     views = np.argsort(columns, axis=1, kind="stable")
     in_order = (np.take_along_axis(each, views, axis=1) for each in (rows, columns))
-    return Paths(views, *in_order)
+    return Paths(views, *in_order, offsets[..., 0].min(axis=1))
 
 
 def serve(codes: Tensor) -> bool:
@@ -86,6 +88,7 @@ def code_sums(codes: Codes) -> Float[Tensor, "*batch layer c ly lx"]:
     return made
 
 
+_ask_for = native("layerfield.kernels.ahead", "ask_for_bytes")
 _add_codes = native("layerfield.kernels.code_lanes", "add_codes")
 _to_light = native("layerfield.kernels.code_lanes", "to_light")
 
@@ -98,11 +101,28 @@ def _add_rows(layers, views, paths, held, units, begin, end):
     for place in range(begin, end):
         item, rest = divmod(place, channels * height)
         channel, row = divmod(rest, height)
+        ask_for_next(views, paths, (item, channel, row))
         for k in range(number):
             sum_row(sums, found, views, paths, (item, channel, k, row))
             there = ((item * number + k) * channels + channel) * height + row
             to, own = layers.ctypes.data + 4 * there * width, sums.ctypes.data
             _to_light(sums, to, own, units[0], units[1], width)
+
+
+@compiled
+def ask_for_next(views, paths, place):
+    """Have rows of codes fetched that the next row of layers is the first to look at.
+
+    One of each view, and those of views lie far apart: no processor foresees so many.
+    """
+    item, channel, row = place
+    count, channels, rows, columns = views.shape[1:]
+    size = columns * views.itemsize
+    for i in range(count):
+        y = row + 1 - paths.first[i]
+        if 0 <= y < rows:
+            there = ((item * count + i) * channels + channel) * rows + y
+            _ask_for(views.ctypes.data + there * size, size)
 
 
 @compiled

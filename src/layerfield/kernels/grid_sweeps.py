@@ -15,7 +15,7 @@ from torch import Tensor
 
 from layerfield.grid_system import GridSystem
 from layerfield.kernels.compiled import compiled, native
-from layerfield.kernels.parts import parts_of, row_at, steps_of
+from layerfield.kernels.parts import parts_of, rows_at, steps_of
 
 Layers = Float[Tensor, "*batch 1 layer c ly lx"]
 
@@ -193,31 +193,29 @@ def _settle_parts(arrays, uphill, system, turns, parts, bounds, begin, end):
         above, back = item * item_size + channel * channel_size, _ZERO
         for step in range(*steps_of(parts, part, len(turns), rows.reach)):
             for turn in range(len(turns)):
-                y = row_at(parts, part, turn, step, rows.reach)
-                if y < 0:
-                    continue
                 k, front, rear, made = turns[turn]
-                level = above + y * row_size
-                here = level + k * layer_size
-                _ask_for(light + here + row_size, row_size)
-                if turn == 0:
-                    for j in range(number):
-                        ahead = level + j * layer_size + (rows.reach + 1) * row_size
-                        _ask_for(places[rear] + ahead, row_size)
-                if gains[k, y] > _ZERO:
-                    for j in range(number):
-                        source = places[front if j < k else rear] + level + j * layer_size
-                        _add_rows(room, rows, (k, j, y), source, row_size)
-                    _add_columns(room, system.columns, k)
-                addresses = (
-                    places[made] + here,
-                    places[rear] + here,
-                    last + here,
-                    light + here,
-                    room.total.ctypes.data,
-                    of_columns + k * system.columns.gains.strides[0],
-                )
-                back += _settle_row(addresses, gains[k, y], limits, system.alone[k], width)
+                for y in range(*rows_at(parts, part, turn, step, rows.reach)):
+                    level = above + y * row_size
+                    here = level + k * layer_size
+                    _ask_for(light + here + row_size, row_size)
+                    if turn == 0:
+                        for j in range(number):
+                            ahead = level + j * layer_size + (rows.reach + 1) * row_size
+                            _ask_for(places[rear] + ahead, row_size)
+                    if gains[k, y] > _ZERO:
+                        for j in range(number):
+                            source = places[front if j < k else rear] + level + j * layer_size
+                            _add_rows(room, rows, (k, j, y), source, row_size)
+                        _add_columns(room, system.columns, k)
+                    addresses = (
+                        places[made] + here,
+                        places[rear] + here,
+                        last + here,
+                        light + here,
+                        room.total.ctypes.data,
+                        of_columns + k * system.columns.gains.strides[0],
+                    )
+                    back += _settle_row(addresses, gains[k, y], limits, system.alone[k], width)
         uphill[part] = back
 
 

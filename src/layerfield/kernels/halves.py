@@ -33,7 +33,7 @@ def halved_views(
     made = torch.empty((*batch, *size), dtype=torch.float32)
     planes = made.view(-1, *size).numpy()
     known = stored.detach().contiguous().view(-1, number, channels, height, width).numpy()
-    which, count, numbers = np.array(chosen), len(planes) * size[0], made.numel()
+    which, count, numbers = np.array(chosen), made[..., 0, 0].numel(), made.numel()
     if table is None:
         given = planes, known, which, np.float32(share / 64)
         _average.in_spans(*given, count=count, numbers=numbers)
@@ -55,7 +55,7 @@ def halved_codes(
     made = torch.empty((*batch, *size), dtype=torch.uint16)
     planes = made.view(-1, *size).numpy()
     known = stored.contiguous().view(-1, number, channels, height, width).numpy()
-    given, count = (planes, known, np.array(chosen)), len(planes) * size[0]
+    given, count = (planes, known, np.array(chosen)), made[..., 0, 0].numel()
     _average_codes.in_spans(*given, count=count, numbers=made.numel())
     return made
 
@@ -66,16 +66,24 @@ def _average_codes(made, stored, chosen, begin, end):
     sums = np.empty(width + 4 - width % 2, np.uint16)
     pairs = sums.view(np.uint32)
     for n in range(begin, end):
-        item, view = divmod(n, len(chosen))
-        for c in range(stored.shape[2]):
-            plane, to = stored[item, chosen[view], c], made[item, view, c]
-            for y in range(len(to)):
-                first, second, third, last = _four_rows(plane, y)
-                for x in range(width):
-                    outer, inner = first[x] + last[x], second[x] + third[x]
-                    sums[x + 1] = outer + 3 * inner
-                sums[0], sums[width + 1], sums[width + 2] = sums[1], sums[width], sums[width]
-                _add_pairs(to[y], pairs)
+        item, view, c = _plane_of(n, made)
+        plane, to = stored[item, chosen[view], c], made[item, view, c]
+        for y in range(len(to)):
+            first, second, third, last = _four_rows(plane, y)
+            for x in range(width):
+                outer, inner = first[x] + last[x], second[x] + third[x]
+                sums[x + 1] = outer + 3 * inner
+            sums[0], sums[width + 1], sums[width + 2] = sums[1], sums[width], sums[width]
+            _add_pairs(to[y], pairs)
+
+
+@compiled
+def _plane_of(n, made):
+    """Return which light field, view and channel the plane of this number is."""
+    some, channels = made.shape[1:3]
+    item, rest = divmod(n, some * channels)
+    view, c = divmod(rest, channels)
+    return item, view, c
 
 
 @compiled
@@ -102,22 +110,20 @@ def _add_pairs(to, pairs):
 def _average(made, stored, chosen, share, begin, end):
     sums = np.empty(stored.shape[4] + 3, np.float32)
     for n in range(begin, end):
-        item, view = divmod(n, len(chosen))
-        for c in range(stored.shape[2]):
-            _halve(made[item, view, c], stored[item, chosen[view], c], sums, share)
+        item, view, c = _plane_of(n, made)
+        _halve(made[item, view, c], stored[item, chosen[view], c], sums, share)
 
 
 @compiled
 def _average_known(made, stored, chosen, share, table, begin, end):
-    channels, height, width = stored.shape[2:]
+    height, width = stored.shape[3:]
     sums, plane = np.empty(width + 3, np.float32), np.empty((height, width), np.float32)
     for n in range(begin, end):
-        item, view = divmod(n, len(chosen))
-        for c in range(channels):
-            codes = stored[item, chosen[view], c]
-            for y in range(height):
-                look_up(plane[y], codes[y], table)
-            _halve(made[item, view, c], plane, sums, share)
+        item, view, c = _plane_of(n, made)
+        codes = stored[item, chosen[view], c]
+        for y in range(height):
+            look_up(plane[y], codes[y], table)
+        _halve(made[item, view, c], plane, sums, share)
 
 
 @compiled

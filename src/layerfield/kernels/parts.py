@@ -14,6 +14,7 @@ import numpy as np
 from layerfield.kernels.compiled import compiled
 
 _ROWS = 64  # of a part, at the least
+_TOGETHER = 4  # rows of a turn
 
 
 @lru_cache(maxsize=16)
@@ -47,12 +48,13 @@ def steps_of(parts, part, passes, reach):
     """Return from which step to which there are rows of a part for one of its passes."""
     _, top, bottom, down, up = parts[part]
     last = passes - 1
-    return min(top, top + last * down), max(bottom, bottom + last * up) + last * (reach + 1)
+    first, end = min(top, top + last * down), max(bottom, bottom + last * up) + last * (reach + 1)
+    return first // _TOGETHER, -(-end // _TOGETHER)
 
 
 @compiled
-def row_at(parts, part, which, step, reach):
-    """Return the row that a pass has its turn at, or -1 where it has none."""
+def rows_at(parts, part, which, step, reach):
+    """Return from which row to which a pass has its turn."""
     _, top, bottom, down, up = parts[part]
-    row = step - (reach + 1) * which
-    return row if top + which * down <= row < bottom + which * up else -1
+    row = step * _TOGETHER - (reach + 1) * which
+    return max(row, top + which * down), min(row + _TOGETHER, bottom + which * up)

@@ -21,7 +21,7 @@ from layerfield.kept_views import LARGEST, KeptViews
 from layerfield.kernels.codes import look_up, looked_up
 from layerfield.kernels.compiled import compiled, native, serve
 from layerfield.kernels.light_paths import LightPaths
-from layerfield.kernels.parts import parts_of, row_at, steps_of
+from layerfield.kernels.parts import parts_of, rows_at, steps_of
 from layerfield.kernels.path_tables import AHEAD, EDGE, Light, PathTables, tables_of
 from layerfield.kernels.sweep_passes import extrapolate
 from layerfield.links import Multiplicative
@@ -209,14 +209,14 @@ def _settle_parts(each, kind, arrays, views, paths, parts, law, begin, end):
         places, back = _places(made, layers, views.stored), np.float32(0)
         for step in range(*steps_of(parts, part, number + 1, paths.reach)):
             for turn in range(number + 1):
-                y = row_at(parts, part, turn, step, paths.reach)
-                if y >= 0 and turn == 0:
+                for y in range(*rows_at(parts, part, turn, step, paths.reach)):
+                    if turn > 0:
+                        row = item, turn - 1, channel, y
+                        back += _settle_row(each, kind, views, paths, room, places, row, law)
+                        continue
                     for k in range(number):
                         begun, row = made[item, k, channel, y], layers[item, k, channel, y]
                         extrapolate(begun, row, last[item, k, channel, y], push, law)
-                elif y >= 0:
-                    row = item, turn - 1, channel, y
-                    back += _settle_row(each, kind, views, paths, room, places, row, law)
         arrays.back[sweep, part] = back
 
 

@@ -6,7 +6,7 @@ from jaxtyping import Float, UInt16
 from torch import Tensor
 
 from layerfield.kernels.blends import planes_of
-from layerfield.kernels.code_sums import Codes, sum_row
+from layerfield.kernels.code_sums import Codes, ask_for_next, sum_row
 from layerfield.kernels.compiled import compiled, native
 from layerfield.kernels.words import Words
 
@@ -59,6 +59,7 @@ def _add_rows(made, views, paths, held, units, width, share, begin, end):
     for place in range(begin, end):
         item, rest = divmod(place, channels * height)
         channel, row = divmod(rest, height)
+        ask_for_next(views, paths, (item, channel, row))
         for k in range(number):
             sum_row(sums, found, views, paths, (item, channel, k, row))
             own = light.ctypes.data

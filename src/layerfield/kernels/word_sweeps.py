@@ -15,7 +15,7 @@ from torch import Tensor
 
 from layerfield.kernels.compiled import compiled, native
 from layerfield.kernels.halves import NOT_REFINED, Refinement, refine_row, room_to_refine
-from layerfield.kernels.parts import parts_of, row_at, steps_of
+from layerfield.kernels.parts import parts_of, rows_at, steps_of
 from layerfield.kernels.words import WORDS, Words
 
 Layers = Float[Tensor, "*batch 1 layer c ly lx"]
@@ -199,37 +199,49 @@ def _settle_with(kept, room, arrays, begun, words, turns, parts, begin, end):
     Turns make words of layers, push words on, or find a layer, the last ones as a picture, too.
     """
     number, channels, height = arrays.made.shape[1:4]
-    reach, found = words.reach[0], kept.found
+    reach, found, layer = words.reach[0], kept.found, channels * height
     for part in range(begin, end):
         item, channel = divmod(parts[part, 0], channels)
+        above = (item * number * channels + channel) * height
         for step in range(*steps_of(parts, part, len(turns), reach)):
             for turn in range(len(turns)):
-                y = row_at(parts, part, turn, step, reach)
-                if y < 0:
-                    continue
                 what, share, last = turns[turn, 0], turns[turn, 1], turns[turn, 2]
-                row, layer = (item * number * channels + channel) * height + y, channels * height
-                if what == _LOAD:
-                    for j in range(number):
-                        if share == _REFINED:
-                            _refine(kept, arrays, begun[1], words, row + j * layer)
-                        else:
-                            here = _place_of(begun[0], item, j, channel, y)
-                            _ask_for(here + begun[0].rows, 4 * arrays.made.shape[4])
-                            _load_layer(arrays, words, row + j * layer, here)
-                elif what == _PUSH:
-                    for j in range(number):
-                        place = 2 * (row + j * layer) * words.width
-                        rows = arrays.now.ctypes.data + place, arrays.ago.ctypes.data + place
-                        known = (channel * number + j) * height + y
-                        both = *rows, _thresholds(words, known)
-                        _push(both, share, last, words.most, words.width)
-                else:
-                    for j in range(number):
-                        known = what, j, y
-                        _add_rows(found, room, words, known, arrays.now, row + j * layer)
-                    _add_columns(room, words, what, words.row_counts[what, y] > 0)
-                    _find(arrays, words, room, (what, y), row + what * layer, last > 0)
+                for y in range(*rows_at(parts, part, turn, step, reach)):
+                    row = above + y
+                    if what == _LOAD:
+                        for j in range(number):
+                            place = item, j, channel, y
+                            _begin(kept, arrays, begun, words, place, row + j * layer, share)
+                    elif what == _PUSH:
+                        for j in range(number):
+                            place = 2 * (row + j * layer) * words.width
+                            rows = arrays.now.ctypes.data + place, arrays.ago.ctypes.data + place
+                            known = (channel * number + j) * height + y
+                            both = *rows, _thresholds(words, known)
+                            _push(both, share, last, words.most, words.width)
+                    else:
+                        for j in range(number):
+                            known = what, j, y
+                            _add_rows(found, room, words, known, arrays.now, row + j * layer)
+                        _add_columns(room, words, what, words.row_counts[what, y] > 0)
+                        _find(arrays, words, room, (what, y), row + what * layer, last > 0)
+
+
+@compiled
+def _begin(kept, arrays, begun, words, place, row, kind):
+    """Make words of a row, and have the next one fetched: it is read, and written on."""
+    size, width = 2 * words.width, arrays.made.shape[4]
+    for each in (arrays.target, arrays.now, arrays.ago):
+        _ask_for(each.ctypes.data + (row + 1) * size, size)
+    if kind == _REFINED:
+        plane, y = divmod(row, arrays.made.shape[3])
+        refine_row(kept.light, begun[1], plane, y, kept.beside, kept.wide)
+        _load_layer(arrays, words, row, kept.light.ctypes.data)
+    else:
+        item, layer, channel, y = place
+        here = _place_of(begun[0], item, layer, channel, y)
+        _ask_for(here + begun[0].rows, 4 * width)
+        _load_layer(arrays, words, row, here)
 
 
 @compiled
@@ -245,14 +257,6 @@ def _place_of(begun, item, layer, channel, y):
     """Return where a row is."""
     plane = begun.address + item * begun.items + layer * begun.layers + channel * begun.channels
     return plane + y * begun.rows
-
-
-@compiled
-def _refine(kept, arrays, refinement, words, row):
-    """Make words of a row that is made of layers of half size."""
-    plane, y = divmod(row, arrays.made.shape[3])
-    refine_row(kept.light, refinement, plane, y, kept.beside, kept.wide)
-    _load_layer(arrays, words, row, kept.light.ctypes.data)
 
 
 @compiled
@@ -314,6 +318,7 @@ def _find(arrays, words, room, place, row, is_last):
         unit = np.float32(1 / words.most)
         gain = unit / np.float32(count) if count > 0 else _ZERO
         made = arrays.made.ctypes.data + 4 * row * width
+        _ask_for(made + 4 * width, 4 * width)
         _to_light((made, words.shares.ctypes.data + 4 * k * width, total, here), gain, unit, width)
 
 

@@ -39,8 +39,8 @@ def paths_of(offsets: np.ndarray) -> Paths:
     """
     rows, columns = offsets.transpose(2, 1, 0)
     views = np.argsort(columns, axis=1, kind="stable")
-    in_order = (np.take_along_axis(each, views, axis=1) for each in (rows, columns))
-    return Paths(views, *in_order, offsets[..., 0].min(axis=1))
+    in_order = [np.take_along_axis(each, views, axis=1) for each in (rows, columns)]
+    return Paths(views, in_order[0], in_order[1], rows.min(axis=0))
 
 
 def serve(codes: Tensor) -> bool:

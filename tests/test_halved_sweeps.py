@@ -55,6 +55,13 @@ def test_a_display_has_the_solver_that_serves_it():
     assert small.refine.sweeps == 2
 
 
+def test_what_displays_need_at_half_size_is_kept_with_them():
+    """Three displays by turns find theirs again."""
+    texts = FIVE, "views = [5, 5]\ndisparity = [1, -1]", "views = [3, 3]\ndisparity = [2, -2]"
+    first, again = ([halved(posed(text))[1].constants for text in texts] for _ in range(2))
+    assert all(one is other for one, other in zip(first, again, strict=True))
+
+
 @pytest.mark.parametrize(
     "transfer, dtype, half_a_code",
     [("", torch.uint8, 2e-3), ('transfer = "srgb"', torch.uint16, 8e-6)],

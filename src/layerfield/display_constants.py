@@ -1,7 +1,8 @@
 """What depends on a display and the size of its views alone, kept for the next light field."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 import torch
@@ -16,7 +17,7 @@ from layerfield.kernels.words import Words, words_of
 from layerfield.projection import Projection
 from layerfield.row_system import row_entries
 
-_KEPT = 4  # displays and sizes; more would rather fill the memory than save time
+_KEPT = 4  # displays; more would rather fill the memory than save time
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,13 @@ class DisplayConstants:
     view_size: tuple[int, int]
     dtype: torch.dtype
     device: torch.device
+    _smaller: dict[tuple[Any, ...], "DisplayConstants"] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
+
+    def of_half_size(self, *given: Any) -> "DisplayConstants":
+        """Return those of half size, kept as long as these; arguments as of `DisplayConstants`."""
+        return self._smaller.setdefault(given, DisplayConstants(*given))
 
     @cached_property
     def gram(self) -> Gram:

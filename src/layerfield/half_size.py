@@ -113,7 +113,9 @@ def at_half_size(problem: Problem, half: Half) -> Problem:
     else:
         dtype = torch.uint16 if is_light else torch.uint8
         views = KeptViews(codes_of(_halved(views, half.views), LARGEST[dtype], dtype))
-    return replace(problem, projection=half.projection, views=views, weights=weights)
+    return replace(
+        problem, projection=half.projection, views=views, weights=weights, whole=problem.constants
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,6 +41,7 @@ class Problem:
         weights: w, one for every view.
         bounds: the range of layer pixels.
         subframes: whose mean is seen.
+        whole: constants of whole size, where this is at half size; see `half_size`.
     """
 
     projection: Projection
@@ -49,6 +50,7 @@ class Problem:
     weights: tuple[float, ...]
     bounds: tuple[float, float] = (0.0, 1.0)
     subframes: int = 1
+    whole: DisplayConstants | None = None
 
     @classmethod
     def of(
@@ -127,8 +129,8 @@ class Problem:
     def constants(self) -> DisplayConstants:
         """What problems posed alike have in common."""
         like = self.views.like
-        posed = (self.projection, self.weights, self.view_size)
-        return constants_of(*posed, like.dtype, like.device)
+        kept = constants_of if self.whole is None else self.whole.of_half_size
+        return kept(self.projection, self.weights, self.view_size, like.dtype, like.device)
 
     def grid(self, *, at_once: bool = False) -> GridSystem | None:
         """Return the normal equations of a grid, where solvers go by them instead of by the views.

@@ -2,7 +2,7 @@
 
     python benchmarks/shifts.py OUT.json [--methods fast,fourier-admm:300]
 
-A procedural scene of 384x512 px is moved by 1, 2, 5, 8 and 15 px down and to the right, as by
+A procedural scene of 384x512 px, in 8 bits, is moved by 1, 2, 5, 8 and 15 px down and to the right, as by
 scrolling: what leaves on one side makes room for something new on the other. Layers are moved back
 and compared, at least 32 and 64 px from the border: light of low frequency depends on what is there
 and that changes. How much of that is right tells a method that goes on to the optimum: NAME:COUNT
@@ -48,7 +48,8 @@ def likeness(first: torch.Tensor, later: torch.Tensor, shift: int, border: int) 
 
 def main(out: Path, methods: str) -> None:
     size = (SIZE[0] + max(SHIFTS), SIZE[1] + max(SHIFTS))
-    whole = procedural_light_field(size=size, grid=GRID, disparity_range=(-1.5, 1.5), seed=SEED)
+    made = procedural_light_field(size=size, grid=GRID, disparity_range=(-1.5, 1.5), seed=SEED)
+    whole = LightField((255 * made.views).round().to(torch.uint8), GRID)
     rows = []
     for preset in PRESETS:
         display = Display.load(preset)

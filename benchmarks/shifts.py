@@ -2,7 +2,7 @@
 
     python benchmarks/shifts.py OUT.json [--methods fast,fourier-admm:300]
 
-A procedural scene of 384x512 px, in 8 bits, is moved by 1, 2, 5, 8 and 15 px down and to the right, as by
+A procedural scene of 384x512 px in 8 bits is moved by 1, 2, 5, 8 and 15 px down and right, as by
 scrolling: what leaves on one side makes room for something new on the other. Layers are moved back
 and compared, at least 32 and 64 px from the border: light of low frequency depends on what is there
 and that changes. How much of that is right tells a method that goes on to the optimum: NAME:COUNT

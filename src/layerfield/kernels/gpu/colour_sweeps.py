@@ -72,7 +72,7 @@ def swept(
     unit = LARGEST[torch.uint8] if views.table is None else _UNIT
     grid = blocks(columns, _WIDE), blocks(rows, _TALL), items
     products = layers.new_empty(number, *grid[::-1])
-    for k in range(number):
+    for k in projection.inner_first:
         _move_layer[grid](
             moved, begun, products[k], layers, looks, weights_on(tuple(weights), layers.device),
             _UNIT ** (number - 1) / unit, len(weights) // taps.together, rows, columns, height,

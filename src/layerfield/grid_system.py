@@ -44,12 +44,14 @@ class Bands(NamedTuple):
 class GridSystem(NamedTuple):
     """R, with the weight of a view in it, and C; and which layers have pixels that stand alone.
 
-    Those are seen at whole pixels, so their own matrix is diagonal, and not among the bands.
+    Those are seen at whole pixels, so their own matrix is diagonal, and not among the bands. The
+    order is that in which sweeps in words settle layers, see `Projection.inner_first`.
     """
 
     rows: Bands
     columns: Bands
     alone: np.ndarray
+    order: np.ndarray
 
     def brought(
         self, layers: Float[Tensor, "*batch layer c ly lx"], index: int
@@ -128,7 +130,8 @@ def grid_system(
     rows = _bands(sorted(down), alone, height, my, weights[0])
     if at_once:
         rows = rows._replace(gains=rows.gains / len(alone))
-    return GridSystem(rows, _bands(sorted(across), alone, width, mx, 1.0), alone)
+    columns = _bands(sorted(across), alone, width, mx, 1.0)
+    return GridSystem(rows, columns, alone, np.array(projection.inner_first))
 
 
 def _bands(

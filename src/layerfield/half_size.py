@@ -18,15 +18,8 @@ from torch.nn.functional import conv2d, interpolate, pad
 from layerfield.kept_views import LARGEST, KeptViews
 from layerfield.kernels.codes import codes_of
 from layerfield.kernels.compiled import serve
-from layerfield.kernels.halves import (
-    Balanced,
-    Refinement,
-    balanced,
-    halved_codes,
-    halved_views,
-    refined,
-    refinement_of,
-)
+from layerfield.kernels.half_words import Enlargement, enlargement_of
+from layerfield.kernels.halves import halved_codes, halved_views, refined
 from layerfield.problem import Problem
 from layerfield.projection import Projection
 from layerfield.solve import OutlivesViews, State
@@ -139,26 +132,18 @@ class Enlarged:
     @property
     def layers(self) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         """P, before it is clamped."""
-        seen = self.problem.back_projected
-        if serve(seen, self.found):
-            return refined(self._rows(balanced(seen, *self.problem.even_shares)), seen.shape)
+        seen, shares = self.problem.back_projected, self.problem.constants.even_shares
+        start = torch.where(shares > 0, seen * shares, self.small.even_shares[1])
         change = self.found - self.small.even_start()
-        return self.problem.even_start() + _twice(change, self.half.before, seen.shape)
+        return start + _twice(change, self.half.before, seen.shape)
 
     @property
-    def rows(self) -> Refinement:
-        """What compiled loops make P of, row by row, where b is needed in words alone."""
-        seen, constants = self.problem.back_projected_words, self.problem.constants
-        words, shares = constants.words, constants.even_shares
+    def words(self) -> Enlargement:
+        """What compiled loops make P of in words, row by row."""
+        words, small = self.problem.constants.words, self.small
         assert words is not None
-        unit = words.weight / words.most
-        first = seen[..., :1, :, :, : shares.shape[-1]].view(torch.int16)  # less than 2^15
-        total = first.sum(dim=(-2, -1), keepdim=True, dtype=torch.float32)
-        return self._rows(balanced(seen, shares, unit * constants.mean_share * total, unit))
-
-    def _rows(self, start: Balanced) -> Refinement:
-        less = balanced(self.small.back_projected, *self.small.even_shares)
-        return refinement_of(start, self.found, self.half.before, less=less)
+        given = small.back_projected, small.even_shares, self.half.before
+        return enlargement_of(words, self.found, *given)
 
 
 def at_whole_size_of_products(
@@ -183,8 +168,7 @@ def at_whole_size_of_products(
     law = _root_of_light(problem.views.table, number).to(layers)
     seen, (shares, rest) = codes.back_projected, codes.even_shares
     if serve(seen, ratio):
-        begun = balanced(seen, number * shares, number * rest)
-        return refined(refinement_of(begun, ratio, half.before, law=law), seen.shape)
+        return refined(seen, (number * shares, number * rest), ratio, half.before, law)
     start = number * torch.where(shares > 0, seen * shares, rest)
     levels = (start * (len(law) - 1)).round().long().clamp(0, len(law) - 1)
     return law[levels] * _twice(ratio, half.before, seen.shape)

@@ -142,91 +142,47 @@ def _halve(made, plane, sums, share):
             to[x] = share * (outer + three * (sums[2 * x + 1] + sums[2 * x + 2]))
 
 
-class Balanced(NamedTuple):
-    """A balanced start, for compiled loops.
+class Refinement(NamedTuple):
+    """A balanced start and a ratio at half size, for compiled loops; see `refined`.
 
     Args:
         seen: `[plane, y, x]`.
-        unit: what 1 of it stands for.
         even: what makes the start of it.
+        layers: `[plane, hy, hx]`.
+        before: pixels of whole size by which they begin before the others.
+        law: of starts.
     """
 
     seen: np.ndarray
-    unit: np.float32
     even: Even
-
-
-class Refinement(NamedTuple):
-    """A balanced start and a change at half size, for compiled loops; see `refinement_of`.
-
-    Args:
-        start: that start.
-        layers: `[plane, hy, hx]`.
-        less: the balanced start of those, taken away from them; or of no rows.
-        before: pixels of whole size by which they begin before the others.
-        law: of starts, or none.
-    """
-
-    start: Balanced
     layers: np.ndarray
-    less: Balanced
     before: tuple[int, int]
     law: np.ndarray
 
 
-_NO_PLANES, _NO_WORDS = np.zeros((0, 0, 0), np.float32), np.zeros((0, 0, 0), np.uint16)
-_NO_EVEN, _NO_LAW = Even(_NO_PLANES, np.zeros((0, 0), np.float32)), np.zeros(0, np.float32)
-NOTHING = Balanced(_NO_PLANES, np.float32(1), _NO_EVEN)
-NOT_REFINED = Refinement(NOTHING._replace(seen=_NO_WORDS), _NO_PLANES, NOTHING, (0, 0), _NO_LAW)
-
-
-def balanced(
-    seen: Num[Tensor, "*batch layer c ly more"],
-    shares: Float[Tensor, "layer 1 ly lx"],
-    rest: Float[Tensor, "*batch 1 c 1 1"],
-    unit: float = 1.0,
-) -> Balanced:
-    """Return a balanced start for compiled loops.
-
-    Args:
-        seen: of single precision, on a processor, as all others; or words, see `seen_words`.
-        shares: what to multiply it by; where that is 0
-        rest: is taken.
-        unit: what 1 of `seen` stands for.
-    """
-    even = even_of(seen[..., : shares.shape[-1]], shares, rest)
-    return Balanced(planes_of(seen.contiguous()), np.float32(unit), even)
-
-
-def refinement_of(
-    start: Balanced,
-    layers: Float[Tensor, "*batch layer c hy hx"],
+def refined(
+    seen: Float[Tensor, "*batch layer c ly lx"],
+    even: tuple[Float[Tensor, "layer 1 ly lx"], Float[Tensor, "*batch 1 c 1 1"]],
+    ratio: Float[Tensor, "*batch layer c hy hx"],
     before: tuple[int, int],
-    *,
-    less: Balanced = NOTHING,
-    law: Float[Tensor, " level"] | None = None,
-) -> Refinement:
-    """Return a start and, added to it, layers of half size, interpolated linearly.
-
-    With a law, what it makes of the start, multiplied by them.
+    law: Float[Tensor, " level"],
+) -> Float[Tensor, "*batch layer c ly lx"]:
+    """Return what a law makes of the balanced start, times a ratio of half size.
 
     Args:
-        start: of whole size.
-        layers: as far as those of whole size and no less; they go on at their edges.
-        before: pixels (y, x) of whole size by which they begin before those, 0 or 1.
-        less: what is taken away from them first.
+        seen: of single precision, on a processor, as all others.
+        even: what to multiply it by for the start, and what is taken where that is 0.
+        ratio: as far as layers of whole size and no less; it goes on at its edges, and between its
+            pixels linearly.
+        before: pixels (y, x) of whole size by which it begins before those, 0 or 1.
         law: of starts from 0 to 1, at even steps.
     """
-    levels = _NO_LAW if law is None else law.numpy()
-    return Refinement(start, planes_of(layers.contiguous()), less, before, levels)
-
-
-def refined(refinement: Refinement, shape: Sequence[int]) -> Float[Tensor, "*batch layer c ly lx"]:
-    """Return what a refinement comes to."""
-    made = torch.empty(shape, dtype=torch.float32)
-    planes = planes_of(made)
-    count = len(planes) * shape[-2]
-    _refine.in_spans(planes, refinement, count=count, numbers=made.numel())
+    made = torch.empty(seen.shape, dtype=torch.float32)
+    planes, known = planes_of(made), planes_of(seen.contiguous())
+    layers = planes_of(ratio.contiguous())
+    given = Refinement(known, even_of(seen, *even), layers, before, law.numpy())
+    count = len(planes) * seen.shape[-2]
+    _refine.in_spans(planes, given, count=count, numbers=made.numel())
     return made
 
 
@@ -236,64 +192,30 @@ _NEAR, _FAR, _HALF = np.float32(0.75), np.float32(0.25), np.float32(0.5)
 @compiled
 def _refine(made, given, begin, end):
     """Rows of all planes, one after the other, from and to."""
-    height = made.shape[1]
-    beside, wide = room_to_refine(given)
+    height, columns = made.shape[1], given.layers.shape[2]
+    beside, wide = np.empty(columns + 2, np.float32), np.empty(2 * columns, np.float32)
     for n in range(begin, end):
         plane, y = divmod(n, height)
-        refine_row(made[plane, y], given, plane, y, beside, wide)
+        _refine_row(made[plane, y], given, plane, y, beside, wide)
 
 
 @compiled
-def room_to_refine(given):
-    """Return what `refine_row` writes on."""
-    columns = given.layers.shape[2]
-    return np.empty(columns + 2, np.float32), np.empty(2 * columns, np.float32)
-
-
-@compiled
-def refine_row(to, given, plane, y, beside, wide):
-    """Write a row; with a law start and layers are multiplied, and added up without."""
+def _refine_row(to, given, plane, y, beside, wide):
     rows, columns = given.layers.shape[1:]
     here, below = divmod(y + given.before[0], 2)
     other = min(max(here + 2 * below - 1, 0), rows - 1)
     near, far = given.layers[plane, here], given.layers[plane, other]
     for x in range(columns):
         beside[x + 1] = _NEAR * near[x] + _FAR * far[x]
-    if len(given.less.seen) > 0:
-        _take_away(beside, given.less, plane, here, _NEAR)
-        _take_away(beside, given.less, plane, other, _FAR)
     beside[0], beside[columns + 1] = beside[1], beside[columns]
     for x in range(columns):
         wide[2 * x] = _NEAR * beside[x + 1] + _FAR * beside[x]
         wide[2 * x + 1] = _NEAR * beside[x + 1] + _FAR * beside[x + 2]
-    layer, rest = _of_plane(given.start.even, plane)
-    shares, light = given.start.even.shares[layer, y], given.start.seen[plane, y]
-    own, unit = wide[given.before[1] :], given.start.unit
-    if len(given.law) == 0:
-        for x in range(len(to)):
-            start = shares[x] * (unit * np.float32(light[x])) if shares[x] > 0 else rest
-            to[x] = start + own[x]
-    else:
-        most = np.float32(len(given.law) - 1)
-        for x in range(len(to)):
-            start = shares[x] * (unit * np.float32(light[x])) if shares[x] > 0 else rest
-            level = min(max(start * most + _HALF, _HALF), most)
-            to[x] = given.law[np.int64(level)] * own[x]
-
-
-@compiled
-def _take_away(beside, less, plane, y, factor):
-    """Subtract a row of a balanced start, times a factor."""
-    layer, rest = _of_plane(less.even, plane)
-    shares, light = less.even.shares[layer, y], less.seen[plane, y]
-    for x in range(len(light)):
+    both, channel = divmod(plane, given.even.rest.shape[1])
+    item, layer = divmod(both, len(given.even.shares))
+    rest, shares = given.even.rest[item, channel], given.even.shares[layer, y]
+    light, own, most = given.seen[plane, y], wide[given.before[1] :], np.float32(len(given.law) - 1)
+    for x in range(len(to)):
         start = shares[x] * light[x] if shares[x] > 0 else rest
-        beside[x + 1] -= factor * start
-
-
-@compiled
-def _of_plane(even, plane):
-    """Return the layer of a plane, and what its pixels take that nobody sees."""
-    both, channel = divmod(plane, even.rest.shape[1])
-    item, layer = divmod(both, len(even.shares))
-    return layer, even.rest[item, channel]
+        level = min(max(start * most + _HALF, _HALF), most)
+        to[x] = given.law[np.int64(level)] * own[x]

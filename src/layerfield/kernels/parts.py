@@ -14,7 +14,7 @@ import numpy as np
 from layerfield.kernels.compiled import compiled
 
 _ROWS = 64  # of a part, at the least
-_TOGETHER = 4  # rows of a turn
+TOGETHER = 4  # rows of a turn: they look at the same rows of other layers, which are at hand then
 
 
 @lru_cache(maxsize=16)
@@ -49,12 +49,12 @@ def steps_of(parts, part, passes, reach):
     _, top, bottom, down, up = parts[part]
     last = passes - 1
     first, end = min(top, top + last * down), max(bottom, bottom + last * up) + last * (reach + 1)
-    return first // _TOGETHER, -(-end // _TOGETHER)
+    return first // TOGETHER, -(-end // TOGETHER)
 
 
 @compiled
 def rows_at(parts, part, which, step, reach):
     """Return from which row to which a pass has its turn."""
     _, top, bottom, down, up = parts[part]
-    row = step * _TOGETHER - (reach + 1) * which
-    return max(row, top + which * down), min(row + _TOGETHER, bottom + which * up)
+    row = step * TOGETHER - (reach + 1) * which
+    return max(row, top + which * down), min(row + TOGETHER, bottom + which * up)

@@ -5,6 +5,7 @@ Twice as many words as floats go side by side, and half the memory is moved. Row
 """
 
 from collections.abc import Sequence
+from functools import reduce
 from typing import Any
 
 from llvmlite import ir
@@ -18,6 +19,7 @@ from layerfield.kernels.words import EDGE, WORDS
 
 _WORD, _INT, _FLOAT = ir.IntType(16), ir.IntType(32), ir.FloatType()
 _ADDED = (4, WORDS), (1, WORDS), (1, EDGE)  # vectors, and words of each
+_ALONE = (1, WORDS), (1, EDGE)
 _ONE_BY_ONE = (1, WORDS), (1, 1)  # floats are as many as there are pixels
 _BITS = 16
 
@@ -33,6 +35,32 @@ def add_up(_: Any, made: Any, rows: Any, number: Any, count: Any) -> Any:
         count: of words, `EDGE` times a whole number.
     """
     return _adding(made, rows, number, count, is_masked=False)
+
+
+@intrinsic
+def add_up_both(_: Any, both: Any, rows: Any, shared: Any, count: Any) -> Any:
+    """Write two sums of rows: of those that they share, and of one more each, those behind.
+
+    Args:
+        both: addresses of two rows, apart from those that are added.
+        rows: where the addresses of rows are.
+        shared: how many are.
+        count: of words, `EDGE` times a whole number.
+    """
+
+    def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
+        both, rows, shared, count = values
+        table = builder.inttoptr(rows, WHOLE.as_pointer())
+        for lanes, places in side_by_side(builder, count, *_ADDED):
+            sums = _sums(builder, lanes, places, [table], shared)
+            for n, made in enumerate(cgutils.unpack_tuple(builder, both)):
+                row = builder.load(builder.gep(table, [builder.add(shared, WHOLE(n))]))
+                for each, place in zip(sums, places, strict=True):
+                    own = lanes.read(row, place, _WORD)
+                    lanes.write(builder.add(each, own), made, place)
+        return WHOLE(0)
+
+    return kinds.intp(both, rows, shared, count), generate
 
 
 @intrinsic
@@ -56,18 +84,61 @@ def _adding(*given: Any, is_masked: bool) -> Any:
         made, *tables, number, count = values
         tables = [builder.inttoptr(each, WHOLE.as_pointer()) for each in tables]
         for lanes, places in side_by_side(builder, count, *_ADDED):
-
-            def words(n: Any, lanes: Lanes = lanes, places: Sequence[Any] = places) -> list[Any]:
-                rows = [builder.load(builder.gep(each, [n])) for each in tables]
-                read = [[lanes.read(row, place, _WORD) for row in rows] for place in places]
-                return [builder.and_(*each) if is_masked else each[0] for each in read]
-
-            begun = [lanes.constant(_WORD, 0) for _ in places]
-            for each, place in zip(summed(builder, begun, number, words), places, strict=True):
+            sums = _sums(builder, lanes, places, tables, number)
+            for each, place in zip(sums, places, strict=True):
                 lanes.write(each, made, place)
         return WHOLE(0)
 
     return kinds.intp(*given), generate
+
+
+def _sums(
+    builder: Any, lanes: Lanes, places: Sequence[Any], tables: Sequence[Any], number: Any
+) -> list[Any]:
+    """Return sums of rows, in registers, masked where there is a table of masks, too."""
+
+    def words(n: Any) -> list[Any]:
+        rows = [builder.load(builder.gep(each, [n])) for each in tables]
+        read = [[lanes.read(row, place, _WORD) for row in rows] for place in places]
+        return [reduce(builder.and_, each) for each in read]
+
+    return summed(builder, [lanes.constant(_WORD, 0) for _ in places], number, words)
+
+
+@intrinsic
+def settle_inside(
+    _: Any, rows: Any, across: Any, number: Any, quotient: Any, most: Any, count: Any
+) -> Any:
+    """Do what `settle` does where every view looks, and add up what it takes away on the way.
+
+    Args:
+        rows: addresses of rows: P, b, what is left of b, and gains.
+        across: where the addresses of rows are that are added up.
+        number: of those.
+        quotient: half, and by how many bits what was multiplied by a gain is shifted.
+        most: the largest P.
+        count: of words, `EDGE` times a whole number.
+    """
+
+    def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
+        rows, across, number, quotient, most, count = values
+        made, seen, left, gains = cgutils.unpack_tuple(builder, rows)
+        half, bits = (
+            builder.trunc(each, _WORD) for each in cgutils.unpack_tuple(builder, quotient)
+        )
+        limit, table = builder.trunc(most, _WORD), builder.inttoptr(across, WHOLE.as_pointer())
+        for lanes, places in side_by_side(builder, count, *_ADDED):
+            sums = _sums(builder, lanes, places, [table], number)
+            for shown, place in zip(sums, places, strict=True):
+                rest = _less(builder, lanes, lanes.read(seen, place, _WORD), shown)
+                lanes.write(rest, left, place)
+                gain = lanes.read(gains, place, _WORD)  # a number would be no word before the loop
+                found = _high_product(builder, lanes, builder.add(rest, lanes.all(half)), gain)
+                found = builder.lshr(found, lanes.all(bits))
+                lanes.write(_at_most(builder, found, lanes.all(limit)), made, place)
+        return WHOLE(0)
+
+    return kinds.intp(rows, across, number, quotient, most, count), generate
 
 
 @intrinsic
@@ -80,28 +151,25 @@ def settle(_: Any, rows: Any, most: Any, count: Any) -> Any:
     Args:
         rows: addresses of rows: P, b, the sum, halves, gains and powers.
         most: the largest P.
-        count: of words, `WORDS` times a whole number.
+        count: of words, `EDGE` times a whole number.
     """
 
     def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
         rows, most, count = values
         made, seen, total, *quotient = cgutils.unpack_tuple(builder, rows)
         limit = builder.trunc(most, _WORD)
-        for lanes, (place,) in side_by_side(builder, count, (1, WORDS)):
+        for lanes, (place,) in side_by_side(builder, count, (1, EDGE)):
             light, shown, half, gain, power, own = (
                 lanes.read(row, place, _WORD) for row in (seen, total, *quotient, made)
             )
-            zero, largest = lanes.constant(_WORD, 0), lanes.all(limit)
-            more = builder.icmp_unsigned(">", light, shown)
-            rest = builder.select(more, builder.sub(light, shown), zero)
+            rest = _less(builder, lanes, light, shown)
             lanes.write(rest, total, place)
             found = _high_product(builder, lanes, builder.add(rest, half), gain)
-            is_seen = builder.icmp_unsigned("!=", gain, zero)
+            is_seen = builder.icmp_unsigned("!=", gain, lanes.constant(_WORD, 0))
             kept = builder.add(own, lanes.constant(_WORD, 1))  # as if it had been multiplied once
             found = builder.select(is_seen, found, kept)
             found = _high_product(builder, lanes, found, power)
-            found = builder.select(builder.icmp_unsigned("<", found, largest), found, largest)
-            lanes.write(found, made, place)
+            lanes.write(_at_most(builder, found, lanes.all(limit)), made, place)
         return WHOLE(0)
 
     return kinds.intp(rows, most, count), generate
@@ -119,14 +187,14 @@ def push(_: Any, rows: Any, share: Any, more: Any, most: Any, count: Any) -> Any
         share: in parts of 2^15.
         more: by which thresholds go up; beyond 2^16 they begin anew.
         most: the largest P, less than 2^14.
-        count: of words, `WORDS` times a whole number.
+        count: of words, `EDGE` times a whole number.
     """
 
     def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
         rows, *numbers, count = values
         here, ago, thresholds = cgutils.unpack_tuple(builder, rows)
         factor, shift, limit = (builder.trunc(each, _WORD) for each in numbers)
-        for lanes, (place,) in side_by_side(builder, count, (1, WORDS)):
+        for lanes, (place,) in side_by_side(builder, count, *_ALONE):
             now, before, threshold = (
                 lanes.read(each, place, _WORD) for each in (here, ago, thresholds)
             )
@@ -201,6 +269,17 @@ def to_light(_: Any, rows: Any, gain: Any, unit: Any, count: Any) -> Any:
         return WHOLE(0)
 
     return kinds.intp(rows, gain, unit, count), generate
+
+
+def _less(builder: Any, lanes: Lanes, one: Any, other: Any) -> Any:
+    """Return one word less another, both without a sign, 0 at the least."""
+    more = builder.icmp_unsigned(">", one, other)
+    return builder.select(more, builder.sub(one, other), lanes.constant(_WORD, 0))
+
+
+def _at_most(builder: Any, one: Any, other: Any) -> Any:
+    """Return the lesser of words without a sign."""
+    return builder.select(builder.icmp_unsigned("<", one, other), one, other)
 
 
 def _high_product(builder: Any, lanes: Lanes, one: Any, other: Any) -> Any:

@@ -6,6 +6,7 @@ sweep gives them as finely as its sums say. Layers become words, and layers agai
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -14,14 +15,19 @@ from jaxtyping import Float, UInt16
 from torch import Tensor
 
 from layerfield.kernels.compiled import compiled, native
-from layerfield.kernels.halves import NOT_REFINED, Refinement, refine_row, room_to_refine
-from layerfield.kernels.parts import parts_of, rows_at, steps_of
+from layerfield.kernels.half_words import (
+    NOT_ENLARGED,
+    Enlargement,
+    enlarge_row,
+    room_to_enlarge,
+)
+from layerfield.kernels.parts import TOGETHER, parts_of, rows_at, steps_of
 from layerfield.kernels.words import WORDS, Words
 
 Layers = Float[Tensor, "*batch 1 layer c ly lx"]
 
 _LOAD, _PUSH = -1, -2  # turns that are no layers
-_GIVEN, _REFINED = 0, 1  # what is loaded
+_GIVEN, _ENLARGED = 0, 1  # what is loaded
 _ONE = 2**15  # what shares are parts of
 _STRIDE = 40503  # golden section of 2^16: any number of sweeps round up evenly
 _AT_ONCE = 4  # sweeps: of more, parts would be few
@@ -43,7 +49,7 @@ class LayerWords:
 def swept(
     words: Words,
     seen: UInt16[Tensor, "*batch 1 layer c ly words"],
-    begun: Layers | LayerWords | Refinement,
+    begun: Layers | LayerWords | Enlargement,
     pushes: Sequence[float],
     made: int = 0,
 ) -> tuple[Layers, LayerWords]:
@@ -81,37 +87,79 @@ def swept(
     arrays = _Arrays(*(each.detach().flatten(end_dim=-5).numpy() for each in given))
     planes_of = source.detach().flatten(end_dim=-5).numpy()  # not to be let go before the end
     place = _Place(planes_of.ctypes.data, *planes_of.strides[:4])
-    refinement = begun if isinstance(begun, Refinement) else NOT_REFINED
-    loads = _REFINED if isinstance(begun, Refinement) else _GIVEN
-    planes, reach = len(arrays.made) * channels, int(words.reach[0])
-    for first in range(0, len(pushes), _AT_ONCE):
-        turns = [(_LOAD, loads, 0)] if first == 0 and is_new else []
-        for n, push in enumerate(pushes[first : first + _AT_ONCE], first):
-            turns += (
-                [(_PUSH, round(push * _ONE), (made + n) * _STRIDE % 2**16)]
-                if n > 0 or not is_new
-                else []
-            )
-            turns += [(k, 0, int(n == len(pushes) - 1)) for k in range(number)]
-        parts, needs = parts_of(planes, height, reach, len(turns))
-        passes, numbers = np.array(turns), len(turns) * layers.numel()
-        _settle_parts.in_spans(
-            arrays,
-            (place, refinement),
-            words,
-            passes,
-            parts,
-            count=len(parts),
-            numbers=numbers,
-            needs=needs,
-        )
+    is_enlarged = isinstance(begun, Enlargement)
+    loads = (_ENLARGED if is_enlarged else _GIVEN) if is_new else None
+    planes = len(arrays.made) * channels, height, int(words.reach[0])
+    plan = _plan(planes, tuple(words.order.tolist()), loads, tuple(pushes), made)
+    numbers, count = len(plan.turns) * layers.numel(), len(plan.parts)
+    given = (
+        arrays,
+        (place, begun if is_enlarged else NOT_ENLARGED),
+        words,
+        plan.turns,
+        plan.which,
+        plan.parts,
+    )
+    _settle_parts.in_spans(*given, count=count, numbers=numbers, needs=plan.needs)
     return layers, LayerWords(now, ago)
+
+
+class _Plan(NamedTuple):
+    """Which turns rows have.
+
+    Args:
+        turns: `[turn, 3]`: what is done, with what, and whether a picture is made.
+        which: `[part, 2]`, the first turn of a part, and how many it has.
+        parts: see `parts_of`.
+        needs: likewise.
+    """
+
+    turns: np.ndarray
+    which: np.ndarray
+    parts: np.ndarray
+    needs: np.ndarray
+
+
+@lru_cache(maxsize=64)
+def _plan(
+    planes: tuple[int, int, int],
+    order: tuple[int, ...],
+    loads: int | None,
+    pushes: tuple[float, ...],
+    made: int,
+) -> _Plan:
+    """Return the turns of sweeps, a few at once and then the next.
+
+    Args:
+        planes: how many, their height, and how far rows look.
+        order: of layers.
+        loads: what is loaded, where there are no words.
+        pushes: of sweeps.
+        made: sweeps made before.
+    """
+    turns: list[tuple[int, int, int]] = []
+    which, parts, needs = [], [], []
+    for first in range(0, len(pushes), _AT_ONCE):
+        begin, before = len(turns), sum(map(len, parts))
+        if first == 0 and loads is not None:
+            turns.append((_LOAD, loads, 0))
+        for n, push in enumerate(pushes[first : first + _AT_ONCE], first):
+            if n > 0 or loads is None:
+                turns.append((_PUSH, round(push * _ONE), (made + n) * _STRIDE % 2**16))
+            turns += [(k, 0, int(n == len(pushes) - 1)) for k in order]
+        own, needed = parts_of(*planes, len(turns) - begin)
+        which += [(begin, len(turns) - begin)] * len(own)
+        parts.append(own)
+        needs.append(before + needed)
+    return _Plan(np.array(turns), np.array(which), np.concatenate(parts), np.concatenate(needs))
 
 
 _ZERO = np.float32(0)
 _ask_for = native("layerfield.kernels.ahead", "ask_for_bytes")
 _add_up = native("layerfield.kernels.word_lanes", "add_up")
+_add_up_both = native("layerfield.kernels.word_lanes", "add_up_both")
 _add_masked = native("layerfield.kernels.word_lanes", "add_masked")
+_settle_inside = native("layerfield.kernels.word_lanes", "settle_inside")
 _settle = native("layerfield.kernels.word_lanes", "settle")
 _push = native("layerfield.kernels.word_lanes", "push")
 _to_words = native("layerfield.kernels.word_lanes", "to_words")
@@ -141,16 +189,15 @@ class _Place(NamedTuple):
 
 
 class _Kept(NamedTuple):
-    """What a thread has for a row.
+    """What a thread has for the rows of a turn.
 
     Args:
-        sums: of words over rows of each layer, with zeros on both sides.
+        sums: `[row, layer, word]`, over rows of each layer, with zeros on both sides.
         total: of those over columns, then what is left of b.
         found: addresses of rows.
-        across: `[3, layer, band]`, addresses of sums: on the left, where all look, on the right.
+        across: `[row, 3, layer, band]`, those of sums: on the left, where all look, on the right.
         masks: `[2, layer, band]`, addresses of masks, on the left and on the right.
-        light: of a layer, single precision.
-        beside: see `room_to_refine`.
+        beside: see `room_to_enlarge`.
         wide: likewise.
     """
 
@@ -159,7 +206,6 @@ class _Kept(NamedTuple):
     found: np.ndarray
     across: np.ndarray
     masks: np.ndarray
-    light: np.ndarray
     beside: np.ndarray
     wide: np.ndarray
 
@@ -169,7 +215,8 @@ class _Room(NamedTuple):
 
     Args:
         sums: address of the first layer's.
-        stride: bytes to those of the next.
+        layers: bytes to those of the next.
+        rows: bytes to those of the next row.
         total: address.
         across: likewise.
         masks: likewise.
@@ -177,7 +224,8 @@ class _Room(NamedTuple):
     """
 
     sums: int
-    stride: int
+    layers: int
+    rows: int
     total: int
     across: int
     masks: int
@@ -185,46 +233,51 @@ class _Room(NamedTuple):
 
 
 @compiled
-def _settle_parts(arrays, begun, words, turns, parts, begin, end):
-    """Parts from and to, turn by turn; see `parts_of`."""
-    _, refinement = begun
-    kept = _kept(words, arrays, refinement)
-    _settle_with(kept, _room(words, kept), arrays, begun, words, turns, parts, begin, end)
+def _settle_parts(arrays, begun, words, turns, which, parts, begin, end):
+    """Parts from and to, turn by turn; see `_Plan`."""
+    kept = _kept(words, begun[1])
+    plan = turns, which, parts
+    _settle_with(kept, _room(words, kept), arrays, begun, words, plan, begin, end)
 
 
 @compiled
-def _settle_with(kept, room, arrays, begun, words, turns, parts, begin, end):
+def _settle_with(kept, room, arrays, begun, words, plan, begin, end):
     """The same, with what a thread has for a row.
 
     Turns make words of layers, push words on, or find a layer, the last ones as a picture, too.
     """
-    number, channels, height = arrays.made.shape[1:4]
+    (number, channels, height), (turns, which, parts) = arrays.made.shape[1:4], plan
     reach, found, layer = words.reach[0], kept.found, channels * height
     for part in range(begin, end):
         item, channel = divmod(parts[part, 0], channels)
         above = (item * number * channels + channel) * height
-        for step in range(*steps_of(parts, part, len(turns), reach)):
-            for turn in range(len(turns)):
-                what, share, last = turns[turn, 0], turns[turn, 1], turns[turn, 2]
-                for y in range(*rows_at(parts, part, turn, step, reach)):
-                    row = above + y
-                    if what == _LOAD:
+        first, count = which[part, 0], which[part, 1]
+        for step in range(*steps_of(parts, part, count, reach)):
+            for turn in range(count):
+                n = first + turn
+                what, share, last = turns[n, 0], turns[n, 1], turns[n, 2]
+                top, bottom = rows_at(parts, part, turn, step, reach)
+                if what == _LOAD:
+                    for y in range(top, bottom):
                         for j in range(number):
                             place = item, j, channel, y
-                            _begin(kept, arrays, begun, words, place, row + j * layer, share)
-                    elif what == _PUSH:
-                        for j in range(number):
-                            place = 2 * (row + j * layer) * words.width
-                            rows = arrays.now.ctypes.data + place, arrays.ago.ctypes.data + place
+                            _begin(kept, arrays, begun, words, place, above + y + j * layer, share)
+                elif what == _PUSH:
+                    for y in range(top, bottom):
+                        for other in range(1, number):  # the first is found before it is seen
+                            j = words.order[other]
+                            row = 2 * (above + y + j * layer) * words.width
+                            rows = arrays.now.ctypes.data + row, arrays.ago.ctypes.data + row
                             known = (channel * number + j) * height + y
                             both = *rows, _thresholds(words, known)
-                            _push(both, share, last, words.most, words.width)
-                    else:
-                        for j in range(number):
-                            known = what, j, y
-                            _add_rows(found, room, words, known, arrays.now, row + j * layer)
-                        _add_columns(room, words, what, words.row_counts[what, y] > 0)
-                        _find(arrays, words, room, (what, y), row + what * layer, last > 0)
+                            _push(both, share, last, words.most, words.used)
+                else:
+                    for j in range(number):
+                        known = what, j, top, bottom
+                        _add_rows(found, room, words, known, arrays.now, above + j * layer)
+                    for y in range(top, bottom):
+                        row = above + y + what * layer
+                        _find(arrays, words, room, (what, y, y - top), row, last > 0)
 
 
 @compiled
@@ -233,15 +286,16 @@ def _begin(kept, arrays, begun, words, place, row, kind):
     size, width = 2 * words.width, arrays.made.shape[4]
     for each in (arrays.target, arrays.now, arrays.ago):
         _ask_for(each.ctypes.data + (row + 1) * size, size)
-    if kind == _REFINED:
-        plane, y = divmod(row, arrays.made.shape[3])
-        refine_row(kept.light, begun[1], plane, y, kept.beside, kept.wide)
-        _load_layer(arrays, words, row, kept.light.ctypes.data)
+    here = 2 * row * words.width
+    both = arrays.now.ctypes.data + here, arrays.ago.ctypes.data + here
+    if kind == _ENLARGED:
+        rows = *both, arrays.target.ctypes.data + here
+        enlarge_row(rows, begun[1], words, place, kept.beside, kept.wide)
     else:
         item, layer, channel, y = place
-        here = _place_of(begun[0], item, layer, channel, y)
-        _ask_for(here + begun[0].rows, 4 * width)
-        _load_layer(arrays, words, row, here)
+        there, most = _place_of(begun[0], item, layer, channel, y), np.float32(words.most)
+        _ask_for(there + begun[0].rows, 4 * width)
+        _to_words(both, there, most, most, width)
 
 
 @compiled
@@ -260,60 +314,70 @@ def _place_of(begun, item, layer, channel, y):
 
 
 @compiled
-def _load_layer(arrays, words, row, here):
-    """Make words of a row of a layer."""
-    place, most = 2 * row * words.width, np.float32(words.most)
-    both = arrays.now.ctypes.data + place, arrays.ago.ctypes.data + place
-    _to_words(both, here, most, most, arrays.made.shape[4])
+def _add_rows(found, room, words, place, layers, above):
+    """Add up the rows of layer j that views show together with each of some rows of layer k.
 
-
-@compiled
-def _add_rows(found, room, words, place, layers, row):
-    """Add up the rows of layer j that views show together with row y of layer k.
-
-    Row y of layer j is the one of this number among all.
+    Of two rows that look at the same ones but for one each, what they share is added up once. The
+    first row of layer j is the one of this number among all.
     """
-    (k, j, y), n = place, 0
-    first = layers.ctypes.data
-    for band in range(words.begins[0, k, j], words.begins[0, k, j + 1]):
-        if words.row_is_seen[k, band, y]:
-            there = row + words.offsets[0, k, band]
-            found[n] = first + 2 * there * words.width
-            n += 1
-    if n > 0:
-        _add_up(room.sums + j * room.stride, found.ctypes.data, n, words.width)
-
-
-@compiled
-def _add_columns(room, words, k, is_seen):
-    """Add up over columns; near both ends of a row not all views look."""
-    n, total, long = words.begins[1, k, -1], room.total, words.width
-    left, right = words.inside[k, 0], words.inside[k, 1]
-    if n > 0 and is_seen:
-        row, layer = 8 * k * room.bands, 8 * room.bands * len(words.inside)
-        _add_masked(total, room.across + row, room.masks + row, n, left)
-        _add_up(total + 2 * left, room.across + layer + row, n, right - left)
-        to, across = total + 2 * right, room.across + 2 * layer
-        _add_masked(to, across + row, room.masks + layer + row, n, long - right)
-    else:
-        _add_up(total, room.across, 0, long)
+    k, j, top, bottom = place
+    first, size, step = layers.ctypes.data, 2 * words.width, words.steps[k, j]
+    begin, end = words.begins[0, k, j], words.begins[0, k, j + 1]
+    low, high = words.inside[0, k, 0], min(words.inside[0, k, 1], bottom)
+    for y in range(top, bottom):
+        to = room.sums + j * room.layers + (y - top) * room.rows
+        turn = (y - top) // step % 2 if step > 0 else 0
+        if step > 0 and turn == 0 and low <= y and y + step < high:
+            for band in range(begin + 1, end):
+                found[band - begin - 1] = first + (above + y + words.offsets[0, k, band]) * size
+            found[end - begin - 1] = first + (above + y + words.offsets[0, k, begin]) * size
+            last = above + y + step + words.offsets[0, k, end - 1]
+            found[end - begin] = first + last * size
+            both = to, to + step * room.rows
+            _add_up_both(both, found.ctypes.data, end - begin - 1, words.used)
+        elif turn == 0 or y - step < low or y >= high:
+            n = 0
+            for band in range(begin, end):
+                if words.row_is_seen[k, band, y]:
+                    found[n] = first + (above + y + words.offsets[0, k, band]) * size
+                    n += 1
+            if n > 0:
+                _add_up(to, found.ctypes.data, n, words.used)
 
 
 @compiled
 def _find(arrays, words, room, place, row, is_last):
-    """Find a row of a layer, as a picture, too, if nothing follows."""
-    (k, y), width, total = place, arrays.made.shape[4], room.total
-    count, here = words.row_counts[k, y], arrays.now.ctypes.data + 2 * row * words.width
-    table = 2 * (count * words.gains.shape[1] + k) * words.width
-    rows = (
-        here,
-        arrays.target.ctypes.data + 2 * row * words.width,
-        total,
-        words.halves.ctypes.data + table,
-        words.gains.ctypes.data + table,
-        words.powers.ctypes.data + table,
-    )
-    _settle(rows, words.most, words.width)
+    """Find a row of a layer, as a picture, too, if nothing follows.
+
+    Near its ends not all views look.
+    """
+    (k, y, n), width, total = place, arrays.made.shape[4], room.total
+    count, size = words.row_counts[k, y], 2 * row * words.width
+    here, seen = arrays.now.ctypes.data + size, arrays.target.ctypes.data + size
+    left, right = words.inside[1, k, 0], words.inside[1, k, 1]
+    if count > 0:
+        bands, layer = words.begins[1, k, -1], 8 * len(words.order) * room.bands
+        across, masks = room.across + 8 * k * room.bands, room.masks + 8 * k * room.bands
+        across += 3 * n * layer
+        table = 2 * (count * words.gains.shape[1] + k) * words.width
+        rows = (
+            here,
+            seen,
+            total,
+            words.halves.ctypes.data + table,
+            words.gains.ctypes.data + table,
+            words.powers.ctypes.data + table,
+        )
+        most, beyond = words.most, words.used - right
+        _add_masked(total, across, masks, bands, left)
+        _settle(rows, most, left)
+        if left < right:
+            quotient = words.inner[count, k, 0], words.inner[count, k, 1]
+            inner = here + 2 * left, seen + 2 * left, total + 2 * left, rows[4] + 2 * left
+            _settle_inside(inner, across + layer, bands, quotient, most, right - left)
+        across += 2 * layer
+        _add_masked(total + 2 * right, across, masks + layer, bands, beyond)
+        _settle(_moved(rows, 2 * right), most, beyond)
     if is_last:
         unit = np.float32(1 / words.most)
         gain = unit / np.float32(count) if count > 0 else _ZERO
@@ -323,31 +387,40 @@ def _find(arrays, words, room, place, row, is_last):
 
 
 @compiled
-def _kept(words, arrays, refinement):
-    """Return memory for a row."""
+def _moved(rows, by):
+    """Return addresses, so many bytes further on."""
+    made, seen, rest, half, gain, power = rows
+    return made + by, seen + by, rest + by, half + by, gain + by, power + by
+
+
+@compiled
+def _kept(words, enlargement):
+    """Return memory for the rows of a turn."""
     number, bands = words.offsets.shape[1:]
     side = -(-words.reach[1] // WORDS) * WORDS
-    sums = np.zeros((number, words.width + 2 * side), np.uint16)
-    across, masks = np.empty((3, number, bands), np.int64), np.empty((2, number, bands), np.int64)
+    sums = np.zeros((TOGETHER, number, words.width + 2 * side), np.uint16)
+    across = np.empty((TOGETHER, 3, number, bands), np.int64)
+    masks = np.empty((2, number, bands), np.int64)
     for k in range(number):
-        left, right = words.inside[k]
+        left, right = words.inside[1, k]
         for j in range(number):
             for band in range(words.begins[1, k, j], words.begins[1, k, j + 1]):
-                first = j * sums.shape[1] + side + words.offsets[1, k, band]
+                first = j * sums.shape[2] + side + words.offsets[1, k, band]
                 for n, place in enumerate((0, left, right)):
-                    across[n, k, band] = sums.ctypes.data + 2 * (first + place)
+                    for row in range(TOGETHER):
+                        there = row * number * sums.shape[2] + first + place
+                        across[row, n, k, band] = sums.ctypes.data + 2 * there
                 mask = words.masks.ctypes.data + 2 * (k * bands + band) * words.width
                 masks[0, k, band], masks[1, k, band] = mask, mask + 2 * right
-    total, found = np.zeros(words.width, np.uint16), np.empty(bands, np.int64)
-    light = np.empty(arrays.made.shape[4], np.float32)
-    beside, wide = room_to_refine(refinement)
-    return _Kept(sums, total, found, across, masks, light, beside, wide)
+    total, found = np.zeros(words.width, np.uint16), np.empty(bands + 1, np.int64)
+    return _Kept(sums, total, found, across, masks, *room_to_enlarge(enlargement))
 
 
 @compiled
 def _room(words, kept):
     """Return where that memory is."""
-    stride = 2 * kept.sums.shape[1]
-    first = kept.sums.ctypes.data + (stride - 2 * words.width) // 2
+    layers = 2 * kept.sums.shape[2]
+    rows = layers * kept.sums.shape[1]
+    first = kept.sums.ctypes.data + (layers - 2 * words.width) // 2
     tables = kept.across.ctypes.data, kept.masks.ctypes.data
-    return _Room(first, stride, kept.total.ctypes.data, *tables, kept.across.shape[2])
+    return _Room(first, layers, rows, kept.total.ctypes.data, *tables, kept.across.shape[3])

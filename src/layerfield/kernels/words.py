@@ -14,7 +14,7 @@ from layerfield.grid_system import Bands, GridSystem
 WORDS = 32  # that go side by side; rows are as long as a multiple of them
 EDGE = 16  # beside an edge; there sums have masks, and take longer
 _LARGEST, _LARGEST_LIGHT = 2**16 - 1, 2**15 - 1  # of sums, and of light that is multiplied
-_FEWEST, _MOST = 255, 2**14 - 1  # of pixels: panels show so many; less than twice of it is a word
+_FEWEST, _MOST = 255, 2**13 - 1  # of pixels: panels show so many; sums of four have a sign
 _BITS = 16
 _ONE = 2**_BITS  # what gains and powers are parts of
 _NOISE = 1021  # places where a row may begin in it
@@ -27,16 +27,23 @@ class Words(NamedTuple):
         most: the pixel that stands for 1.
         weight: of a view.
         width: of a row of words.
+        used: words of a row, by `EDGE`, among which all pixels are.
+        order: in which layers are swept.
         begins: `[direction, layer, other + 1]`, from which band to which; rows come first.
         offsets: `[direction, layer, band]`.
+        steps: `[layer, other]`, rows from one band to the next; 0 where they differ.
         row_counts: `[layer, row]`, positions of viewers that see it.
         row_is_seen: `[layer, band, row]`, whether the row of the other layer is seen with it.
         masks: `[layer, band, column]`, all bits set where the other column is seen with it.
         halves: `[row count, layer, column]`; with the next two, see `_quotients`.
         gains: likewise, 0 where no view sees a pixel.
         powers: likewise.
+        inner: `[row count, layer, 2]`, half and bits of columns that all positions see, see there.
+        even: `[row count, layer, column]`, of 2^16 b, what every layer shows of it in the balanced
+            start; 0 where no view sees a pixel.
         shares: `[layer, column]`, one over how many positions see it; 0 where none does.
-        inside: `[layer, 2]`, from which word to which all positions see columns.
+        inside: `[direction, layer, 2]`, from which row to which all positions see rows, and from
+            which word to which they see columns.
         reach: the farthest offsets, of rows and of columns.
         thresholds: noise, of a row and `_NOISE` words more.
     """
@@ -44,14 +51,19 @@ class Words(NamedTuple):
     most: int
     weight: float
     width: int
+    used: int
+    order: np.ndarray
     begins: np.ndarray
     offsets: np.ndarray
+    steps: np.ndarray
     row_counts: np.ndarray
     row_is_seen: np.ndarray
     masks: np.ndarray
     halves: np.ndarray
     gains: np.ndarray
     powers: np.ndarray
+    inner: np.ndarray
+    even: np.ndarray
     shares: np.ndarray
     inside: np.ndarray
     reach: np.ndarray
@@ -87,19 +99,35 @@ def words_of(system: GridSystem, weight: float) -> Words | None:
         most,
         weight,
         width,
+        -(-pixels // EDGE) * EDGE,
+        system.order,
         np.stack([each.begins for each in sides]),
         offsets,
+        _steps(sides[0]),
         counts[0],
         sides[0].shares > 0,
         masks,
         halves,
         gains,
         powers,
+        _inner_quotients(counts[0], counts[1]),
+        _even(views_of),
         system.columns.gains,
-        _inside(system.columns, width),
+        np.stack([sides[0].inside, _inside(sides[1], width)]),
         np.array([each.reach for each in sides]),
         np.random.default_rng(0).integers(2**16, size=width + _NOISE, dtype=np.uint16),
     )
+
+
+def _steps(rows: Bands) -> np.ndarray:
+    """Return how many rows lie between one band and the next, or 0 where they lie otherwise."""
+    number = len(rows.begins)
+    made = np.zeros((number, number), np.int64)
+    for k, j in np.ndindex(*made.shape):
+        apart = np.diff(rows.offsets[k, rows.begins[k, j] : rows.begins[k, j + 1]])
+        if len({*apart}) == 1:
+            made[k, j] = apart[0]
+    return made
 
 
 def _views(rows: np.ndarray, columns: np.ndarray, width: int) -> np.ndarray:
@@ -125,6 +153,24 @@ def _quotients(views: np.ndarray) -> Sequence[np.ndarray]:
     halves = number // 2 + (gain == _ONE) + (power == _ONE)
     found = halves, np.where(views > 0, gain, 0), np.where(views > 0, power, _ONE)
     return [each.clip(max=_ONE - 1).astype(np.uint16) for each in found]
+
+
+def _inner_quotients(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Return what tells quotients where all positions along x see a layer, beside their gain.
+
+    In the place of a multiplication by power, its bits; nothing makes up for 2^16 - 1 then.
+    """
+    views = (np.arange(rows.max() + 1)[:, None] * columns.max(axis=1)).clip(min=1)
+    bits = np.floor(np.log2(views)).astype(np.int64)
+    is_power = views == 1 << bits  # of 2: the gain is 2^16
+    return np.stack([views // 2 + is_power, bits], axis=-1)
+
+
+def _even(views: np.ndarray) -> np.ndarray:
+    """Return one over the number of views and of layers, in parts of 2^16."""
+    number = views.astype(np.int64) * views.shape[1]
+    shares = np.where(number > 0, np.rint(_ONE / number.clip(min=1)), 0)
+    return shares.clip(max=_ONE - 1).astype(np.uint16)
 
 
 def _inside(columns: Bands, width: int) -> np.ndarray:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from layerfield.half_size import Enlarged, HalfState, at_half_size, half_of
 from layerfield.kernels.compiled import is_plain
-from layerfield.kernels.halves import Refinement
+from layerfield.kernels.half_words import Enlargement
 from layerfield.kernels.word_sweeps import LayerWords, swept
 from layerfield.kernels.words import Words
 from layerfield.links import Additive
@@ -42,8 +42,8 @@ LearnedSweepsState = SweptState | HalfState | LearnedState | Unbegun
 class LearnedSweeps:
     """A learned step, and accelerated sweeps behind it, in 16-bit words.
 
-        P_k <- clamp((b_k - sum_j G_kj P_j) / A_k^T W A_k 1),  layer by layer, from
-        clamp(P + push (P - P of one sweep ago))
+        P_k <- clamp((b_k - sum_j G_kj P_j) / A_k^T W A_k 1),  layer by layer, inner ones first,
+        from clamp(P + push (P - P of one sweep ago))
 
     Steps in the Fourier domain are quick to find what is far apart, sweeps what is near, and at
     bounds; without the views and in words, four cost less than a step. What is far apart is found
@@ -138,7 +138,7 @@ class LearnedSweeps:
         """Return the state after so many sweeps more."""
         words = None if is_plain() else problem.constants.words
         if isinstance(state, Enlarged) and words is not None:
-            known = self._in_words(problem, words, state.rows, 0, min(count, _enough(words)))
+            known = self._in_words(problem, words, state.words, 0, min(count, _enough(words)))
             return self._swept(problem, known, count - known.count)
         if isinstance(state, Enlarged):
             state = SweptState(state.layers)
@@ -158,7 +158,7 @@ class LearnedSweeps:
         self,
         problem: Problem,
         words: Words,
-        begun: Tensor | LayerWords | Refinement,
+        begun: Tensor | LayerWords | Enlargement,
         made: int,
         count: int,
     ) -> SweptState:
@@ -203,7 +203,7 @@ def _swept_plainly(problem: Problem, state: SweptState, pushes: Sequence[float])
     ago = layers if state.ago is None else state.ago
     for push in pushes:
         ahead = (layers + push * (layers - ago)).clamp(*problem.bounds)
-        for k in range(problem.layer_count):
+        for k in problem.projection.inner_first:
             ahead[..., k, :, :, :] = best_layer(problem, ahead, k)
         layers, ago = ahead, layers
     return SweptState(layers, state.count + len(pushes), ago=ago)

@@ -1,0 +1,111 @@
+"""Rows of half size brought to whole size in 16-bit words: what `half_words` is made of.
+
+Numbers have a sign, and are four times less than words hold: sums of four are words, too. Numba is
+imported here; see `compiled`.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+from llvmlite import ir
+from numba.core import cgutils
+from numba.core import types as kinds
+from numba.extending import intrinsic
+
+from layerfield.kernels.side_by_side import WHOLE, Lanes, side_by_side
+from layerfield.kernels.words import WORDS
+
+_WORD, _INT = ir.IntType(16), ir.IntType(32)
+_SHAPE = 1, WORDS
+_BITS = 16
+
+
+@intrinsic
+def blend(_: Any, made: Any, near: Any, far: Any, count: Any) -> Any:
+    """Write (3 near + far) / 4, rounded.
+
+    Args:
+        made: address of a row.
+        near: likewise.
+        far: likewise.
+        count: of numbers, `WORDS` times a whole number.
+    """
+
+    def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
+        made, near, far, count = values
+        for lanes, (place,) in side_by_side(builder, count, _SHAPE):
+            one, other = (lanes.read(row, place, _WORD) for row in (near, far))
+            lanes.write(_blended(builder, lanes, one, other), made, place)
+        return WHOLE(0)
+
+    return kinds.intp(made, near, far, count), generate
+
+
+@intrinsic
+def spread(_: Any, made: Any, row: Any, count: Any) -> Any:
+    """Write two numbers for each: (3 row[x] + row[x - 1]) / 4, and the same with row[x + 1].
+
+    Args:
+        made: address of a row twice as long.
+        row: address of one that goes on at both ends.
+        count: of numbers, `WORDS` times a whole number.
+    """
+
+    def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
+        made, row, count = values
+        for lanes, (place,) in side_by_side(builder, count, _SHAPE):
+            before, after = (builder.add(place, WHOLE(step)) for step in (-1, 1))
+            left, here, right = (lanes.read(row, each, _WORD) for each in (before, place, after))
+            both = (_blended(builder, lanes, here, each) for each in (left, right))
+            by_turns = [n // 2 + WORDS * (n % 2) for n in range(2 * WORDS)]
+            mask = ir.Constant(ir.VectorType(_INT, 2 * WORDS), by_turns)
+            wide = builder.shuffle_vector(*both, mask)
+            Lanes(builder, 2 * WORDS).write(wide, made, builder.add(place, place))
+        return WHOLE(0)
+
+    return kinds.intp(made, row, count), generate
+
+
+@intrinsic
+def start(_: Any, rows: Any, rest: Any, bits: Any, most: Any, count: Any) -> Any:
+    """Write min(max(shares b / 2^16 + change / 2^bits, 0), most).
+
+    Where shares are 0, the rest takes the place of the first term. Both terms are rounded down, and
+    together up as often: one more is added, halves of what each may lose.
+
+    Args:
+        rows: addresses of rows: two that are written, b, shares, and change.
+        rest: a word.
+        bits: of a change that stand behind its point.
+        most: the largest word, less than 2^15.
+        count: of words, `WORDS` times a whole number.
+    """
+
+    def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
+        rows, *numbers, count = values
+        *made, seen, shares, change = cgutils.unpack_tuple(builder, rows)
+        rest, bits, limit = (builder.trunc(each, _WORD) for each in numbers)
+        whole = builder.shl(_WORD(1), bits)
+        for lanes, (place,) in side_by_side(builder, count, _SHAPE):
+            light, share, more = (lanes.read(row, place, _WORD) for row in (seen, shares, change))
+            wide = (builder.zext(each, lanes.of(_INT)) for each in (light, share))
+            begun = builder.lshr(builder.mul(*wide), lanes.constant(_INT, _BITS))
+            begun = builder.trunc(begun, lanes.of(_WORD))
+            zero, largest = lanes.constant(_WORD, 0), lanes.all(limit)
+            is_seen = builder.icmp_unsigned("!=", share, zero)
+            begun = builder.select(is_seen, begun, lanes.all(rest))
+            more = builder.ashr(builder.add(more, lanes.all(whole)), lanes.all(bits))
+            found = builder.add(begun, more)
+            found = builder.select(builder.icmp_signed(">", found, zero), found, zero)
+            found = builder.select(builder.icmp_signed("<", found, largest), found, largest)
+            for row in made:
+                lanes.write(found, row, place)
+        return WHOLE(0)
+
+    return kinds.intp(rows, rest, bits, most, count), generate
+
+
+def _blended(builder: Any, lanes: Lanes, near: Any, far: Any) -> Any:
+    three, two = lanes.constant(_WORD, 3), lanes.constant(_WORD, 2)
+    total = builder.add(builder.mul(near, three), builder.add(far, two))
+    return builder.ashr(total, two)

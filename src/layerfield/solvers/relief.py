@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import chain
 from typing import NamedTuple
 
@@ -70,7 +70,7 @@ class Relief:
         """All of them, one convolution after the other."""
         return [*chain.from_iterable(self.hidden), self.last]
 
-    @property
+    @cached_property
     def network(self) -> Network:
         """The same for compiled loops."""
         return Network.of(self.hidden, self.last)

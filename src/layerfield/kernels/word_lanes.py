@@ -34,62 +34,55 @@ def add_up(_: Any, made: Any, rows: Any, number: Any, count: Any) -> Any:
         number: of rows, one at the least.
         count: of words, `EDGE` times a whole number.
     """
-    return _adding(made, rows, number, count, is_masked=False)
+
+    def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
+        made, rows, number, count = values
+        table = builder.inttoptr(rows, WHOLE.as_pointer())
+        for lanes, places in side_by_side(builder, count, *_ADDED):
+            sums = _sums(builder, lanes, places, [table], number)
+            for each, place in zip(sums, places, strict=True):
+                lanes.write(each, made, place)
+        return WHOLE(0)
+
+    return kinds.intp(made, rows, number, count), generate
 
 
 @intrinsic
-def add_up_both(_: Any, both: Any, rows: Any, shared: Any, count: Any) -> Any:
+def add_up_both(_: Any, both: Any, first: Any, apart: Any, shared: Any, count: Any) -> Any:
     """Write two sums of rows: of those that they share, and of one more each, those behind.
 
     Args:
         both: addresses of two rows, apart from those that are added.
-        rows: where the addresses of rows are.
+        first: address that rows are so many bytes apart from,
+        apart: as are here.
         shared: how many are.
         count: of words, `EDGE` times a whole number.
     """
 
     def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
-        both, rows, shared, count = values
-        table = builder.inttoptr(rows, WHOLE.as_pointer())
+        both, first, apart, shared, count = values
+        table = builder.inttoptr(apart, WHOLE.as_pointer())
+
+        def row(n: Any) -> Any:
+            return builder.add(first, builder.load(builder.gep(table, [n])))
+
         for lanes, places in side_by_side(builder, count, *_ADDED):
-            sums = _sums(builder, lanes, places, [table], shared)
+
+            def words(
+                n: Any, lanes: Lanes = lanes, places: Sequence[Any] = places
+            ) -> Sequence[Any]:
+                there = row(n)
+                return [lanes.read(there, place, _WORD) for place in places]
+
+            none = [lanes.constant(_WORD, 0) for _ in places]
+            sums = summed(builder, none, shared, words)
             for n, made in enumerate(cgutils.unpack_tuple(builder, both)):
-                row = builder.load(builder.gep(table, [builder.add(shared, WHOLE(n))]))
-                for each, place in zip(sums, places, strict=True):
-                    own = lanes.read(row, place, _WORD)
-                    lanes.write(builder.add(each, own), made, place)
+                own = words(builder.add(shared, WHOLE(n)))
+                for each, more, place in zip(sums, own, places, strict=True):
+                    lanes.write(builder.add(each, more), made, place)
         return WHOLE(0)
 
-    return kinds.intp(both, rows, shared, count), generate
-
-
-@intrinsic
-def add_masked(_: Any, made: Any, rows: Any, masks: Any, number: Any, count: Any) -> Any:
-    """Write made[x] = sum_n masks[n][x] & rows[n][x], as `add_up` does.
-
-    Args:
-        made: address of a row, apart from those that are added.
-        rows: where the addresses of rows are.
-        masks: where those of rows of masks are.
-        number: of rows, one at the least.
-        count: of words, `EDGE` times a whole number.
-    """
-    return _adding(made, rows, masks, number, count, is_masked=True)
-
-
-def _adding(*given: Any, is_masked: bool) -> Any:
-    """Return the kinds of a sum of rows, and what generates it."""
-
-    def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
-        made, *tables, number, count = values
-        tables = [builder.inttoptr(each, WHOLE.as_pointer()) for each in tables]
-        for lanes, places in side_by_side(builder, count, *_ADDED):
-            sums = _sums(builder, lanes, places, tables, number)
-            for each, place in zip(sums, places, strict=True):
-                lanes.write(each, made, place)
-        return WHOLE(0)
-
-    return kinds.intp(*given), generate
+    return kinds.intp(both, first, apart, shared, count), generate
 
 
 def _sums(
@@ -107,72 +100,116 @@ def _sums(
 
 @intrinsic
 def settle_inside(
-    _: Any, rows: Any, across: Any, number: Any, quotient: Any, most: Any, count: Any
+    _: Any, rows: Any, ahead: Any, across: Any, number: Any, quotient: Any, most: Any, span: Any
 ) -> Any:
-    """Do what `settle` does where every view looks, and add up what it takes away on the way.
+    """Do what `settle` does where every view looks.
 
     Args:
         rows: addresses of rows: P, b, what is left of b, and gains.
-        across: where the addresses of rows are that are added up.
-        number: of those.
+        ahead: as `settle` has it.
+        across: likewise.
+        number: likewise.
         quotient: half, and by how many bits what was multiplied by a gain is shifted.
         most: the largest P.
-        count: of words, `EDGE` times a whole number.
+        span: as `settle` has it.
     """
 
     def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
-        rows, across, number, quotient, most, count = values
-        made, seen, left, gains = cgutils.unpack_tuple(builder, rows)
-        half, bits = (
-            builder.trunc(each, _WORD) for each in cgutils.unpack_tuple(builder, quotient)
+        (made, seen, left, gains), ahead, across, number, quotient, most, span = (
+            cgutils.unpack_tuple(builder, each) if isinstance(kind, kinds.BaseTuple) else each
+            for each, kind in zip(values, given, strict=True)
         )
-        limit, table = builder.trunc(most, _WORD), builder.inttoptr(across, WHOLE.as_pointer())
-        for lanes, places in side_by_side(builder, count, *_ADDED):
+        half, bits, limit = (builder.trunc(each, _WORD) for each in (*quotient, most))
+        table = builder.inttoptr(across, WHOLE.as_pointer())
+        for lanes, places in _within(builder, span, *_ADDED):
             sums = _sums(builder, lanes, places, [table], number)
             for shown, place in zip(sums, places, strict=True):
                 rest = _less(builder, lanes, lanes.read(seen, place, _WORD), shown)
-                lanes.write(rest, left, place)
                 gain = lanes.read(gains, place, _WORD)  # a number would be no word before the loop
                 found = _high_product(builder, lanes, builder.add(rest, lanes.all(half)), gain)
                 found = builder.lshr(found, lanes.all(bits))
-                lanes.write(_at_most(builder, found, lanes.all(limit)), made, place)
+                found = _at_most(builder, found, lanes.all(limit))
+                _write(builder, lanes, place, (found, rest), (made, left), ahead, limit)
         return WHOLE(0)
 
-    return kinds.intp(rows, across, number, quotient, most, count), generate
+    given = rows, ahead, across, number, quotient, most, span
+    return kinds.intp(*given), generate
 
 
 @intrinsic
-def settle(_: Any, rows: Any, most: Any, count: Any) -> Any:
-    """Write P = min(max(b - sum, 0) / views, most), and what is left of b where the sum was.
+def settle(
+    _: Any, rows: Any, ahead: Any, across: Any, masks: Any, number: Any, most: Any, span: Any
+) -> Any:
+    """Write P = min(max(b - sum, 0) / views, most), and what is left of b, sum taken away.
 
-    Rounded exactly, see `_quotients` of `words`: what views hardly see would grow from sweep to
-    sweep otherwise, or fade. Words without a gain stay.
+    The sum is that of rows that are masked. Rounded exactly, see `_quotients` of `words`: what
+    views hardly see would grow from sweep to sweep otherwise, or fade. Words without a gain stay.
 
     Args:
-        rows: addresses of rows: P, b, the sum, halves, gains and powers.
+        rows: addresses of rows: P, b, what is left of b, halves, gains and powers.
+        ahead: nothing, or what P is pushed on by, and then nothing is left of b: address of a row
+            that gets P, and where P of one sweep ago was; and the others of `push`.
+        across: where the addresses of rows are that are added up.
+        masks: where those of rows of masks are.
+        number: of those.
         most: the largest P.
-        count: of words, `EDGE` times a whole number.
+        span: the first word of all rows, and how many, `EDGE` times a whole number.
     """
 
     def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
-        rows, most, count = values
-        made, seen, total, *quotient = cgutils.unpack_tuple(builder, rows)
+        rows, ahead, *tables, number, most, span = (
+            cgutils.unpack_tuple(builder, each) if isinstance(kind, kinds.BaseTuple) else each
+            for each, kind in zip(values, given, strict=True)
+        )
+        made, seen, left, *quotient = rows
         limit = builder.trunc(most, _WORD)
-        for lanes, (place,) in side_by_side(builder, count, (1, EDGE)):
-            light, shown, half, gain, power, own = (
-                lanes.read(row, place, _WORD) for row in (seen, total, *quotient, made)
+        tables = [builder.inttoptr(each, WHOLE.as_pointer()) for each in tables]
+        for lanes, (place,) in _within(builder, span, (1, EDGE)):
+            (shown,) = _sums(builder, lanes, [place], tables, number)
+            light, half, gain, power, own = (
+                lanes.read(row, place, _WORD) for row in (seen, *quotient, made)
             )
             rest = _less(builder, lanes, light, shown)
-            lanes.write(rest, total, place)
             found = _high_product(builder, lanes, builder.add(rest, half), gain)
             is_seen = builder.icmp_unsigned("!=", gain, lanes.constant(_WORD, 0))
             kept = builder.add(own, lanes.constant(_WORD, 1))  # as if it had been multiplied once
             found = builder.select(is_seen, found, kept)
             found = _high_product(builder, lanes, found, power)
-            lanes.write(_at_most(builder, found, lanes.all(limit)), made, place)
+            found = _at_most(builder, found, lanes.all(limit))
+            _write(builder, lanes, place, (found, rest), (made, left), ahead, limit)
         return WHOLE(0)
 
-    return kinds.intp(rows, most, count), generate
+    given = rows, ahead, across, masks, number, most, span
+    return kinds.intp(*given), generate
+
+
+def _within(builder: Any, span: Sequence[Any], *shapes: tuple[int, int]) -> Any:
+    """Yield lanes and places, as `side_by_side` does, from a first word on."""
+    begin, count = span
+    for lanes, places in side_by_side(builder, count, *shapes):
+        yield lanes, [builder.add(begin, place) for place in places]
+
+
+def _write(
+    builder: Any,
+    lanes: Lanes,
+    place: Any,
+    found: tuple[Any, Any],
+    rows: tuple[Any, Any],
+    ahead: Sequence[Any],
+    limit: Any,
+) -> None:
+    """Write P and what is left of b; or P where it was one sweep ago, and P pushed on."""
+    (now, rest), (made, left) = found, rows
+    if ahead:
+        ago, thresholds, factor, more = ahead
+        numbers = [builder.trunc(each, _WORD) for each in (factor, more)]
+        both = [lanes.read(row, place, _WORD) for row in (ago, thresholds)]
+        lanes.write(now, ago, place)
+        lanes.write(_pushed(builder, lanes, now, *both, *numbers, limit), made, place)
+    else:
+        lanes.write(rest, left, place)
+        lanes.write(now, made, place)
 
 
 @intrinsic
@@ -198,18 +235,32 @@ def push(_: Any, rows: Any, share: Any, more: Any, most: Any, count: Any) -> Any
             now, before, threshold = (
                 lanes.read(each, place, _WORD) for each in (here, ago, thresholds)
             )
-            zero, largest = lanes.constant(_WORD, 0), lanes.all(limit)
             lanes.write(now, ago, place)
-            change = builder.shl(builder.sub(now, before), lanes.constant(_WORD, 1))
-            whole, beyond = _product(builder, lanes, change, lanes.all(factor))
-            is_up = builder.icmp_unsigned(">", beyond, builder.add(threshold, lanes.all(shift)))
-            found = builder.add(now, builder.add(whole, builder.zext(is_up, lanes.of(_WORD))))
-            found = builder.select(builder.icmp_signed(">", found, zero), found, zero)
-            found = builder.select(builder.icmp_signed("<", found, largest), found, largest)
+            found = _pushed(builder, lanes, now, before, threshold, factor, shift, limit)
             lanes.write(found, here, place)
         return WHOLE(0)
 
     return kinds.intp(rows, share, more, most, count), generate
+
+
+def _pushed(
+    builder: Any,
+    lanes: Lanes,
+    now: Any,
+    before: Any,
+    threshold: Any,
+    factor: Any,
+    shift: Any,
+    limit: Any,
+) -> Any:
+    """Return words that are pushed on, see `push`."""
+    zero, largest = lanes.constant(_WORD, 0), lanes.all(limit)
+    change = builder.shl(builder.sub(now, before), lanes.constant(_WORD, 1))
+    whole, beyond = _product(builder, lanes, change, lanes.all(factor))
+    is_up = builder.icmp_unsigned(">", beyond, builder.add(threshold, lanes.all(shift)))
+    found = builder.add(now, builder.add(whole, builder.zext(is_up, lanes.of(_WORD))))
+    found = builder.select(builder.icmp_signed(">", found, zero), found, zero)
+    return builder.select(builder.icmp_signed("<", found, largest), found, largest)
 
 
 @intrinsic

@@ -6,7 +6,6 @@ sweep gives them as finely as its sums say. Layers become words, and layers agai
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -21,16 +20,19 @@ from layerfield.kernels.half_words import (
     enlarge_row,
     room_to_enlarge,
 )
-from layerfield.kernels.parts import TOGETHER, parts_of, rows_at, steps_of
-from layerfield.kernels.words import WORDS, Words
+from layerfield.kernels.parts import TOGETHER, rows_at, steps_of
+from layerfield.kernels.word_turns import (
+    ENLARGED,
+    GIVEN,
+    LOAD,
+    NOT_PUSHED,
+    PUSH,
+    STRIDE,
+    turns_of,
+)
+from layerfield.kernels.words import NOISE, WORDS, Words
 
 Layers = Float[Tensor, "*batch 1 layer c ly lx"]
-
-_LOAD, _PUSH = -1, -2  # turns that are no layers
-_GIVEN, _ENLARGED = 0, 1  # what is loaded
-_ONE = 2**15  # what shares are parts of
-_STRIDE = 40503  # golden section of 2^16: any number of sweeps round up evenly
-_AT_ONCE = 4  # sweeps: of more, parts would be few
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,77 +90,20 @@ def swept(
     planes_of = source.detach().flatten(end_dim=-5).numpy()  # not to be let go before the end
     place = _Place(planes_of.ctypes.data, *planes_of.strides[:4])
     is_enlarged = isinstance(begun, Enlargement)
-    loads = (_ENLARGED if is_enlarged else _GIVEN) if is_new else None
+    loads = (ENLARGED if is_enlarged else GIVEN) if is_new else None
     planes = len(arrays.made) * channels, height, int(words.reach[0])
-    plan = _plan(planes, tuple(words.order.tolist()), loads, tuple(pushes), made)
+    plan = turns_of(planes, tuple(words.order.tolist()), loads, tuple(pushes), made)
     numbers, count = len(plan.turns) * layers.numel(), len(plan.parts)
-    given = (
-        arrays,
-        (place, begun if is_enlarged else NOT_ENLARGED),
-        words,
-        plan.turns,
-        plan.which,
-        plan.parts,
-    )
+    enlargement = begun if is_enlarged else NOT_ENLARGED
+    given = arrays, (place, enlargement), words, plan
     _settle_parts.in_spans(*given, count=count, numbers=numbers, needs=plan.needs)
     return layers, LayerWords(now, ago)
-
-
-class _Plan(NamedTuple):
-    """Which turns rows have.
-
-    Args:
-        turns: `[turn, 3]`: what is done, with what, and whether a picture is made.
-        which: `[part, 2]`, the first turn of a part, and how many it has.
-        parts: see `parts_of`.
-        needs: likewise.
-    """
-
-    turns: np.ndarray
-    which: np.ndarray
-    parts: np.ndarray
-    needs: np.ndarray
-
-
-@lru_cache(maxsize=64)
-def _plan(
-    planes: tuple[int, int, int],
-    order: tuple[int, ...],
-    loads: int | None,
-    pushes: tuple[float, ...],
-    made: int,
-) -> _Plan:
-    """Return the turns of sweeps, a few at once and then the next.
-
-    Args:
-        planes: how many, their height, and how far rows look.
-        order: of layers.
-        loads: what is loaded, where there are no words.
-        pushes: of sweeps.
-        made: sweeps made before.
-    """
-    turns: list[tuple[int, int, int]] = []
-    which, parts, needs = [], [], []
-    for first in range(0, len(pushes), _AT_ONCE):
-        begin, before = len(turns), sum(map(len, parts))
-        if first == 0 and loads is not None:
-            turns.append((_LOAD, loads, 0))
-        for n, push in enumerate(pushes[first : first + _AT_ONCE], first):
-            if n > 0 or loads is None:
-                turns.append((_PUSH, round(push * _ONE), (made + n) * _STRIDE % 2**16))
-            turns += [(k, 0, int(n == len(pushes) - 1)) for k in order]
-        own, needed = parts_of(*planes, len(turns) - begin)
-        which += [(begin, len(turns) - begin)] * len(own)
-        parts.append(own)
-        needs.append(before + needed)
-    return _Plan(np.array(turns), np.array(which), np.concatenate(parts), np.concatenate(needs))
 
 
 _ZERO = np.float32(0)
 _ask_for = native("layerfield.kernels.ahead", "ask_for_bytes")
 _add_up = native("layerfield.kernels.word_lanes", "add_up")
 _add_up_both = native("layerfield.kernels.word_lanes", "add_up_both")
-_add_masked = native("layerfield.kernels.word_lanes", "add_masked")
 _settle_inside = native("layerfield.kernels.word_lanes", "settle_inside")
 _settle = native("layerfield.kernels.word_lanes", "settle")
 _push = native("layerfield.kernels.word_lanes", "push")
@@ -193,16 +138,19 @@ class _Kept(NamedTuple):
 
     Args:
         sums: `[row, layer, word]`, over rows of each layer, with zeros on both sides.
-        total: of those over columns, then what is left of b.
+        left: what is left of b.
+        pairs: `[layer, other, row]`, bytes from the first byte of a row of the other layer beneath
+            one of the layer to those that this one and the next pair with, see `add_up_both`.
         found: addresses of rows.
-        across: `[row, 3, layer, band]`, those of sums: on the left, where all look, on the right.
-        masks: `[2, layer, band]`, addresses of masks, on the left and on the right.
+        across: `[row, layer, band]`, those of sums, moved as views have it.
+        masks: `[layer, band]`, those of masks.
         beside: see `room_to_enlarge`.
         wide: likewise.
     """
 
     sums: np.ndarray
-    total: np.ndarray
+    left: np.ndarray
+    pairs: np.ndarray
     found: np.ndarray
     across: np.ndarray
     masks: np.ndarray
@@ -217,26 +165,29 @@ class _Room(NamedTuple):
         sums: address of the first layer's.
         layers: bytes to those of the next.
         rows: bytes to those of the next row.
-        total: address.
-        across: likewise.
+        left: address.
+        pairs: likewise.
+        length: rows of a pair, at the most.
+        across: address.
         masks: likewise.
-        bands: of a layer in both tables.
+        bands: of a layer in both.
     """
 
     sums: int
     layers: int
     rows: int
-    total: int
+    left: int
+    pairs: int
+    length: int
     across: int
     masks: int
     bands: int
 
 
 @compiled
-def _settle_parts(arrays, begun, words, turns, which, parts, begin, end):
-    """Parts from and to, turn by turn; see `_Plan`."""
+def _settle_parts(arrays, begun, words, plan, begin, end):
+    """Parts from and to, turn by turn; see `Turns`."""
     kept = _kept(words, begun[1])
-    plan = turns, which, parts
     _settle_with(kept, _room(words, kept), arrays, begun, words, plan, begin, end)
 
 
@@ -246,8 +197,8 @@ def _settle_with(kept, room, arrays, begun, words, plan, begin, end):
 
     Turns make words of layers, push words on, or find a layer, the last ones as a picture, too.
     """
-    (number, channels, height), (turns, which, parts) = arrays.made.shape[1:4], plan
-    reach, found, layer = words.reach[0], kept.found, channels * height
+    (number, channels, height), (turns, are_before, which, parts, _) = arrays.made.shape[1:4], plan
+    reach, layer = words.reach[0], channels * height
     for part in range(begin, end):
         item, channel = divmod(parts[part, 0], channels)
         above = (item * number * channels + channel) * height
@@ -255,14 +206,14 @@ def _settle_with(kept, room, arrays, begun, words, plan, begin, end):
         for step in range(*steps_of(parts, part, count, reach)):
             for turn in range(count):
                 n = first + turn
-                what, share, last = turns[n, 0], turns[n, 1], turns[n, 2]
+                what, share, rise = turns[n, 0], turns[n, 1], turns[n, 2]
                 top, bottom = rows_at(parts, part, turn, step, reach)
-                if what == _LOAD:
+                if what == LOAD:
                     for y in range(top, bottom):
                         for j in range(number):
                             place = item, j, channel, y
                             _begin(kept, arrays, begun, words, place, above + y + j * layer, share)
-                elif what == _PUSH:
+                elif what == PUSH:
                     for y in range(top, bottom):
                         for other in range(1, number):  # the first is found before it is seen
                             j = words.order[other]
@@ -270,14 +221,17 @@ def _settle_with(kept, room, arrays, begun, words, plan, begin, end):
                             rows = arrays.now.ctypes.data + row, arrays.ago.ctypes.data + row
                             known = (channel * number + j) * height + y
                             both = *rows, _thresholds(words, known)
-                            _push(both, share, last, words.most, words.used)
+                            _push(both, share, rise, words.most, words.used)
                 else:
+                    size = 2 * words.width
                     for j in range(number):
                         known = what, j, top, bottom
-                        _add_rows(found, room, words, known, arrays.now, above + j * layer)
-                    for y in range(top, bottom):
-                        row = above + y + what * layer
-                        _find(arrays, words, room, (what, y, y - top), row, last > 0)
+                        seen = arrays.ago if are_before[n, j] else arrays.now
+                        there = seen.ctypes.data + (above + top + j * layer) * size
+                        _add_rows(kept.found, room, words, known, there)
+                    row = above + top + what * layer
+                    known = what, top, bottom, row, (channel * number + what) * height
+                    _find_rows(arrays, room, words, known, (share, rise, turns[n, 3]))
 
 
 @compiled
@@ -288,7 +242,7 @@ def _begin(kept, arrays, begun, words, place, row, kind):
         _ask_for(each.ctypes.data + (row + 1) * size, size)
     here = 2 * row * words.width
     both = arrays.now.ctypes.data + here, arrays.ago.ctypes.data + here
-    if kind == _ENLARGED:
+    if kind == ENLARGED:
         rows = *both, arrays.target.ctypes.data + here
         enlarge_row(rows, begun[1], words, place, kept.beside, kept.wide)
     else:
@@ -301,9 +255,7 @@ def _begin(kept, arrays, begun, words, place, row, kind):
 @compiled
 def _thresholds(words, row):
     """Return where thresholds are, from another word on for every row."""
-    return words.thresholds.ctypes.data + 2 * (
-        row * _STRIDE % (len(words.thresholds) - words.width)
-    )
+    return words.thresholds.ctypes.data + 2 * (row * STRIDE % NOISE)
 
 
 @compiled
@@ -314,83 +266,99 @@ def _place_of(begun, item, layer, channel, y):
 
 
 @compiled
-def _add_rows(found, room, words, place, layers, above):
+def _add_rows(found, room, words, place, first):
     """Add up the rows of layer j that views show together with each of some rows of layer k.
 
     Of two rows that look at the same ones but for one each, what they share is added up once. The
-    first row of layer j is the one of this number among all.
+    row of layer j beneath the first one is at an address.
     """
-    k, j, top, bottom = place
-    first, size, step = layers.ctypes.data, 2 * words.width, words.steps[k, j]
-    begin, end = words.begins[0, k, j], words.begins[0, k, j + 1]
+    (k, j, top, bottom), number = place, len(words.order)
+    begin, end, step = words.begins[0, k, j], words.begins[0, k, j + 1], words.steps[k, j]
     low, high = words.inside[0, k, 0], min(words.inside[0, k, 1], bottom)
-    for y in range(top, bottom):
-        to = room.sums + j * room.layers + (y - top) * room.rows
-        turn = (y - top) // step % 2 if step > 0 else 0
-        if step > 0 and turn == 0 and low <= y and y + step < high:
-            for band in range(begin + 1, end):
-                found[band - begin - 1] = first + (above + y + words.offsets[0, k, band]) * size
-            found[end - begin - 1] = first + (above + y + words.offsets[0, k, begin]) * size
-            last = above + y + step + words.offsets[0, k, end - 1]
-            found[end - begin] = first + last * size
-            both = to, to + step * room.rows
-            _add_up_both(both, found.ctypes.data, end - begin - 1, words.used)
-        elif turn == 0 or y - step < low or y >= high:
-            n = 0
-            for band in range(begin, end):
-                if words.row_is_seen[k, band, y]:
-                    found[n] = first + (above + y + words.offsets[0, k, band]) * size
-                    n += 1
-            if n > 0:
-                _add_up(to, found.ctypes.data, n, words.used)
+    to, pair = room.sums + j * room.layers, room.pairs + 8 * room.length * (k * number + j)
+    y, apart, shared, size = top, max(step, 1), end - begin - 1, 2 * words.width
+    while begin < end and y < bottom:
+        for one in range(y, min(y + apart, bottom)):
+            n, other = one - top, one + apart
+            there, here = to + n * room.rows, first + n * size
+            if step > 0 and low <= one and other < high:
+                both = there, there + step * room.rows
+                _add_up_both(both, here, pair, shared, words.used)
+            else:
+                _add_row(found, words, (k, j, one), there, here)
+                if other < bottom:
+                    below, beneath = there + apart * room.rows, here + apart * size
+                    _add_row(found, words, (k, j, other), below, beneath)
+        y += 2 * apart
 
 
 @compiled
-def _find(arrays, words, room, place, row, is_last):
-    """Find a row of a layer, as a picture, too, if nothing follows.
+def _add_row(found, words, place, to, first):
+    """The same for one row."""
+    (k, j, y), size, number = place, 2 * words.width, 0
+    for band in range(words.begins[0, k, j], words.begins[0, k, j + 1]):
+        if words.row_is_seen[k, band, y]:
+            found[number] = first + words.offsets[0, k, band] * size
+            number += 1
+    if number > 0:
+        _add_up(to, found.ctypes.data, number, words.used)
 
-    Near its ends not all views look.
+
+@compiled
+def _find_rows(arrays, room, words, place, turn):
+    """Find rows of a layer, and push them on, or show them, as their turn has it.
+
+    The first is the one of this number among all, and those of its layer have thresholds from
+    another number on.
     """
-    (k, y, n), width, total = place, arrays.made.shape[4], room.total
-    count, size = words.row_counts[k, y], 2 * row * words.width
-    here, seen = arrays.now.ctypes.data + size, arrays.target.ctypes.data + size
-    left, right = words.inside[1, k, 0], words.inside[1, k, 1]
-    if count > 0:
-        bands, layer = words.begins[1, k, -1], 8 * len(words.order) * room.bands
-        across, masks = room.across + 8 * k * room.bands, room.masks + 8 * k * room.bands
-        across += 3 * n * layer
-        table = 2 * (count * words.gains.shape[1] + k) * words.width
-        rows = (
-            here,
-            seen,
-            total,
-            words.halves.ctypes.data + table,
-            words.gains.ctypes.data + table,
-            words.powers.ctypes.data + table,
-        )
-        most, beyond = words.most, words.used - right
-        _add_masked(total, across, masks, bands, left)
-        _settle(rows, most, left)
-        if left < right:
-            quotient = words.inner[count, k, 0], words.inner[count, k, 1]
-            inner = here + 2 * left, seen + 2 * left, total + 2 * left, rows[4] + 2 * left
-            _settle_inside(inner, across + layer, bands, quotient, most, right - left)
-        across += 2 * layer
-        _add_masked(total + 2 * right, across, masks + layer, bands, beyond)
-        _settle(_moved(rows, 2 * right), most, beyond)
-    if is_last:
-        unit = np.float32(1 / words.most)
-        gain = unit / np.float32(count) if count > 0 else _ZERO
-        made = arrays.made.ctypes.data + 4 * row * width
-        _ask_for(made + 4 * width, 4 * width)
-        _to_light((made, words.shares.ctypes.data + 4 * k * width, total, here), gain, unit, width)
+    (k, top, bottom, row, known), (share, rise, is_last) = place, turn
+    for y in range(top, bottom):
+        here = row + y - top
+        if words.row_counts[k, y] > 0:
+            size = 2 * here * words.width
+            rows = arrays.now.ctypes.data + size, arrays.target.ctypes.data + size
+            if share == NOT_PUSHED:
+                _find(words, room, rows, (), (k, y, y - top))
+            else:
+                ago, noise = arrays.ago.ctypes.data + size, _thresholds(words, known + y)
+                _find(words, room, rows, (ago, noise, share, rise), (k, y, y - top))
+        if is_last:
+            _show(arrays, words, room, k, y, here)
 
 
 @compiled
-def _moved(rows, by):
-    """Return addresses, so many bytes further on."""
-    made, seen, rest, half, gain, power = rows
-    return made + by, seen + by, rest + by, half + by, gain + by, power + by
+def _find(words, room, here, ahead, place):
+    """Find a row that views see; see `settle`. Near its ends not all look."""
+    (k, y, n), bands = place, words.begins[1, place[0], -1]
+    count, number = words.row_counts[k, y], len(words.order)
+    across, masks = room.across + 8 * (n * number + k) * room.bands, room.masks + 8 * k * room.bands
+    table, left, right = (
+        2 * (count * number + k) * words.width,
+        words.inside[1, k, 0],
+        words.inside[1, k, 1],
+    )
+    halves, gains = words.halves.ctypes.data + table, words.gains.ctypes.data + table
+    rows = (*here, room.left, halves, gains, words.powers.ctypes.data + table)
+    _settle(rows, ahead, across, masks, bands, words.most, (0, left))
+    _settle(rows, ahead, across, masks, bands, words.most, (right, words.used - right))
+    inner, quotient = (
+        (*here, room.left, gains),
+        (words.inner[count, k, 0], words.inner[count, k, 1]),
+    )
+    _settle_inside(inner, ahead, across, bands, quotient, words.most, (left, right - left))
+
+
+@compiled
+def _show(arrays, words, room, k, y, row):
+    """Make a picture of a row that was just found."""
+    width, count = arrays.made.shape[4], words.row_counts[k, y]
+    unit = np.float32(1 / words.most)
+    gain = unit / np.float32(count) if count > 0 else _ZERO
+    made = arrays.made.ctypes.data + 4 * row * width
+    _ask_for(made + 4 * width, 4 * width)
+    here = arrays.now.ctypes.data + 2 * row * words.width
+    rows = made, words.shares.ctypes.data + 4 * k * width, room.left, here
+    _to_light(rows, gain, unit, width)
 
 
 @compiled
@@ -399,21 +367,35 @@ def _kept(words, enlargement):
     number, bands = words.offsets.shape[1:]
     side = -(-words.reach[1] // WORDS) * WORDS
     sums = np.zeros((TOGETHER, number, words.width + 2 * side), np.uint16)
-    across = np.empty((TOGETHER, 3, number, bands), np.int64)
-    masks = np.empty((2, number, bands), np.int64)
+    across = np.empty((TOGETHER, number, bands), np.int64)
+    masks = np.empty((number, bands), np.int64)
     for k in range(number):
-        left, right = words.inside[1, k]
         for j in range(number):
             for band in range(words.begins[1, k, j], words.begins[1, k, j + 1]):
                 first = j * sums.shape[2] + side + words.offsets[1, k, band]
-                for n, place in enumerate((0, left, right)):
-                    for row in range(TOGETHER):
-                        there = row * number * sums.shape[2] + first + place
-                        across[row, n, k, band] = sums.ctypes.data + 2 * there
-                mask = words.masks.ctypes.data + 2 * (k * bands + band) * words.width
-                masks[0, k, band], masks[1, k, band] = mask, mask + 2 * right
-    total, found = np.zeros(words.width, np.uint16), np.empty(bands + 1, np.int64)
-    return _Kept(sums, total, found, across, masks, *room_to_enlarge(enlargement))
+                for row in range(TOGETHER):
+                    there = row * number * sums.shape[2] + first
+                    across[row, k, band] = sums.ctypes.data + 2 * there
+                masks[k, band] = words.masks.ctypes.data + 2 * (k * bands + band) * words.width
+    left, found = np.zeros(words.width, np.uint16), np.empty(bands, np.int64)
+    kept = sums, left, _pairs(words), found, across, masks
+    return _Kept(*kept, *room_to_enlarge(enlargement))
+
+
+@compiled
+def _pairs(words):
+    """Return what `_Kept` says of two rows side by side."""
+    number, bands = words.offsets.shape[1:]
+    made = np.zeros((number, number, bands + 1), np.int64)
+    for k in range(number):
+        for j in range(number):
+            begin, last = words.begins[0, k, j], words.begins[0, k, j + 1] - 1
+            for band in range(begin, last):
+                made[k, j, band - begin] = words.offsets[0, k, band + 1]
+            if begin <= last:
+                made[k, j, last - begin] = words.offsets[0, k, begin]
+                made[k, j, last - begin + 1] = words.offsets[0, k, last] + words.steps[k, j]
+    return made * (2 * words.width)
 
 
 @compiled
@@ -422,5 +404,6 @@ def _room(words, kept):
     layers = 2 * kept.sums.shape[2]
     rows = layers * kept.sums.shape[1]
     first = kept.sums.ctypes.data + (layers - 2 * words.width) // 2
-    tables = kept.across.ctypes.data, kept.masks.ctypes.data
-    return _Room(first, layers, rows, kept.total.ctypes.data, *tables, kept.across.shape[3])
+    pairs = kept.pairs.ctypes.data, kept.pairs.shape[2]
+    tables = kept.across.ctypes.data, kept.masks.ctypes.data, kept.across.shape[2]
+    return _Room(first, layers, rows, kept.left.ctypes.data, *pairs, *tables)

@@ -17,7 +17,7 @@ _LARGEST, _LARGEST_LIGHT = 2**16 - 1, 2**15 - 1  # of sums, and of light that is
 _FEWEST, _MOST = 255, 2**13 - 1  # of pixels: panels show so many; sums of four have a sign
 _BITS = 16
 _ONE = 2**_BITS  # what gains and powers are parts of
-_NOISE = 1021  # places where a row may begin in it
+NOISE = 1021  # places where a row may begin in it
 
 
 class Words(NamedTuple):
@@ -45,7 +45,7 @@ class Words(NamedTuple):
         inside: `[direction, layer, 2]`, from which row to which all positions see rows, and from
             which word to which they see columns.
         reach: the farthest offsets, of rows and of columns.
-        thresholds: noise, of a row and `_NOISE` words more.
+        thresholds: noise, of a row and `NOISE` words more.
     """
 
     most: int
@@ -115,7 +115,7 @@ def words_of(system: GridSystem, weight: float) -> Words | None:
         system.columns.gains,
         np.stack([sides[0].inside, _inside(sides[1], width)]),
         np.array([each.reach for each in sides]),
-        np.random.default_rng(0).integers(2**16, size=width + _NOISE, dtype=np.uint16),
+        np.random.default_rng(0).integers(2**16, size=width + NOISE, dtype=np.uint16),
     )
 
 

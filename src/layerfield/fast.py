@@ -220,7 +220,7 @@ def solver_for(problem: Problem, count: int) -> Solver:
         return RowNewton() if problem.link.is_sum else RowGaussNewton()
     solver = steps_for(problem).solver(count)
     if isinstance(solver, LearnedAdmm) and serves_words(problem):
-        return _with_sweeps(problem)
+        return _with_sweeps(problem.layer_count <= _FEW)
     if not isinstance(solver, FourierNewton):
         return solver
     if not takes_sweeps(problem):
@@ -230,15 +230,16 @@ def solver_for(problem: Problem, count: int) -> Solver:
     return replace(solver.start, refine=Sweeps(sweeps=_SWEEPS))
 
 
-def _with_sweeps(problem: Problem) -> LearnedSweeps:
+@lru_cache
+def _with_sweeps(few: bool) -> LearnedSweeps:
     """Return what sweeps in words: behind the first step of two, however few iterations.
 
     The second would do no more than sweeps do, and cost as much as many of them. First steps of
     more go farther, but by softer penalties: layers of a scene that moves would move less alike.
     """
-    known = steps_for(problem).at_most(_BEFORE_WORDS).direct
+    known = shipped_steps("additive").at_most(_BEFORE_WORDS).direct
     solver = LearnedSweeps(replace(known, full=known.full[:1]))
-    return solver if problem.layer_count <= _FEW else replace(solver, early=3, inner=2, outer=4)
+    return solver if few else replace(solver, early=3, inner=2, outer=4)
 
 
 def warm_solver(problem: Problem, count: int) -> RowNewton | LearnedSweeps | WarmAdmm:

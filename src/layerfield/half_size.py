@@ -11,14 +11,14 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, UInt16
 from torch import Tensor
 from torch.nn.functional import conv2d, interpolate, pad
 
 from layerfield.kept_views import LARGEST, KeptViews
 from layerfield.kernels.codes import codes_of
 from layerfield.kernels.compiled import serve
-from layerfield.kernels.half_words import Enlargement, enlargement_of
+from layerfield.kernels.half_words import Enlargement, HalfWords, balanced, enlargement_of
 from layerfield.kernels.halves import halved_codes, halved_views, refined
 from layerfield.problem import Problem
 from layerfield.projection import Projection
@@ -122,12 +122,14 @@ class Enlarged:
         half: what it is at half size.
         small: at half size.
         found: Q.
+        found_words: Q in words, if it is known.
     """
 
     problem: Problem
     half: Half
     small: Problem
     found: Float[Tensor, "*batch 1 layer c hy hx"]
+    found_words: UInt16[Tensor, "*batch 1 layer c hy words"] | None = None
 
     @property
     def layers(self) -> Float[Tensor, "*batch 1 layer c ly lx"]:
@@ -138,12 +140,31 @@ class Enlarged:
         return start + _twice(change, self.half.before, seen.shape)
 
     @property
-    def words(self) -> Enlargement:
-        """What compiled loops make P of in words, row by row."""
-        words, small = self.problem.constants.words, self.small
-        assert words is not None
-        given = small.back_projected, small.even_shares, self.half.before
-        return enlargement_of(words, self.found, *given)
+    def words(self) -> Enlargement | None:
+        """What compiled loops make P of in words, row by row; None where Q is in none."""
+        words, small = self.problem.constants.words, self.small.constants.words
+        if words is None or small is None or self.found_words is None:
+            return None
+        half = HalfWords(small, self.found_words, self.small.back_projected_words)
+        return enlargement_of(words, half, self.small.rest_of_words, self.half.before)
+
+
+@dataclass(frozen=True, eq=False)
+class Balanced:
+    """The balanced start of a problem, where light adds up; made when asked for."""
+
+    problem: Problem
+
+    @property
+    def layers(self) -> Float[Tensor, "*batch 1 layer c ly lx"]:
+        """The layers."""
+        return self.problem.even_start()
+
+    @property
+    def words(self) -> Enlargement | None:
+        """What compiled loops make them of in words, row by row; None where there are none."""
+        words = self.problem.constants.words
+        return None if words is None else balanced(words, self.problem.rest_of_words)
 
 
 def at_whole_size_of_products(

@@ -6,6 +6,7 @@ floats, and what a law makes of them it makes of a table of all codes: 256 or 65
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import torch
 from jaxtyping import Float, Num
@@ -52,9 +53,7 @@ class KeptViews:
         """What every code stands for, of views that are kept as whole numbers."""
         if self.table is not None:
             return self.table
-        largest = LARGEST[self.stored.dtype]
-        levels = torch.arange(largest + 1, dtype=torch.float32, device=self.stored.device)
-        return levels / largest
+        return _levels(self.stored.dtype, self.stored.device)
 
     def view(self, index: int) -> Float[Tensor, "*batch c y x"]:
         """Return the values of one view."""
@@ -99,6 +98,13 @@ class KeptViews:
             return stored.to(torch.float32).div_(LARGEST[stored.dtype])
         # The quickest way to look up that every device has.
         return self.table.index_select(0, stored.flatten().int()).view(stored.shape)
+
+
+@lru_cache
+def _levels(dtype: torch.dtype, device: torch.device) -> Float[Tensor, " code"]:
+    """Return all codes over the largest one."""
+    largest = LARGEST[dtype]
+    return torch.arange(largest + 1, dtype=torch.float32, device=device) / largest
 
 
 def _are_same(one: Tensor, other: Tensor) -> bool:

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
 import torch
 from jaxtyping import Float, UInt16
 from torch import Tensor
@@ -164,6 +165,15 @@ class Problem:
             return words_of_light(self.back_projected, words)
         given = self.projection, self.views, self.weights
         return back_projected_words(*given, words).unsqueeze(-5)
+
+    @cached_property
+    def rest_of_words(self) -> Float[np.ndarray, "item c"]:
+        """What `even_shares` has for pixels that nobody sees, by those words."""
+        words, width = self.constants.words, self.layer_shape[-1]
+        assert words is not None
+        first = self.back_projected_words.view(torch.int16)[..., 0, :, :, :width]
+        light = first.sum(dim=(-2, -1)).double().flatten(end_dim=-2).numpy()
+        return light * (words.weight / words.most * self.constants.mean_share)
 
     @property
     def light_paths(self) -> LightPaths:

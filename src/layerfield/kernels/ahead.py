@@ -10,8 +10,8 @@ from numba.extending import intrinsic
 
 _BYTE = ir.IntType(8)
 _TO_READ, _DATA = 0, 1
-_LINE = 64  # bytes that memory is fetched in
-_FIRST, _SECOND = 3, 2  # caches that it is fetched into
+LINE = 64  # bytes that memory is fetched in
+FIRST, SECOND = 3, 2  # caches that it is fetched into
 
 
 @intrinsic
@@ -37,17 +37,17 @@ def ask_for_bytes(_: Any, address: Any, count: Any) -> Any:
     return kinds.void(address, count), generate
 
 
-def fetch_line(builder: Any, address: Any) -> None:
-    """Have what is at an address fetched into the first cache: it is needed soon."""
-    _fetch_line(builder, builder.inttoptr(address, _BYTE.as_pointer()), _FIRST)
+def fetch_line(builder: Any, address: Any, cache: int = FIRST) -> None:
+    """Have what is at an address fetched into a cache; nothing need be there."""
+    _fetch_line(builder, builder.inttoptr(address, _BYTE.as_pointer()), cache)
 
 
 def _fetch(builder: Any, data: Any, count: Any) -> None:
     """Ask for every line of so many bytes."""
     first = builder.bitcast(data, _BYTE.as_pointer())
-    span = count.type(0), count, count.type(_LINE), count.type
+    span = count.type(0), count, count.type(LINE), count.type
     with cgutils.for_range_slice(builder, *span) as (at, _):
-        _fetch_line(builder, builder.gep(first, [at]), _SECOND)
+        _fetch_line(builder, builder.gep(first, [at]), SECOND)
 
 
 def _fetch_line(builder: Any, place: Any, cache: int) -> None:

@@ -14,6 +14,8 @@ from torch import Tensor
 
 from layerfield.kernels.compiled import compiled, is_plain, native
 
+SUMMED = 32  # codes of a row, at the least, that are added up at once
+
 
 class Paths(NamedTuple):
     """Light paths that end at one layer, those side by side that meet the same columns.
@@ -88,8 +90,8 @@ def code_sums(codes: Codes) -> Float[Tensor, "*batch layer c ly lx"]:
     return made
 
 
-_ask_for = native("layerfield.kernels.ahead", "ask_for_bytes")
 _add_codes = native("layerfield.kernels.code_lanes", "add_codes")
+_sum_codes = native("layerfield.kernels.code_lanes", "sum_codes")
 _to_light = native("layerfield.kernels.code_lanes", "to_light")
 
 
@@ -97,11 +99,10 @@ _to_light = native("layerfield.kernels.code_lanes", "to_light")
 def _add_rows(layers, views, paths, held, units, begin, end):
     """Rows of the layers, all layers together, channel by channel, from and to."""
     number, channels, height, width = layers.shape[1:]
-    sums, found = np.zeros(width, held.dtype), np.empty(paths.views.shape[1], np.int64)
+    sums, found = room_for_rows(paths, width, held)
     for place in range(begin, end):
         item, rest = divmod(place, channels * height)
         channel, row = divmod(rest, height)
-        ask_for_next(views, paths, (item, channel, row))
         for k in range(number):
             sum_row(sums, found, views, paths, (item, channel, k, row))
             there = ((item * number + k) * channels + channel) * height + row
@@ -110,37 +111,52 @@ def _add_rows(layers, views, paths, held, units, begin, end):
 
 
 @compiled
-def ask_for_next(views, paths, place):
-    """Have rows of codes fetched that the next row of layers is the first to look at.
-
-    One of each view, and those of views lie far apart: no processor foresees so many.
-    """
-    item, channel, row = place
-    count, channels, rows, columns = views.shape[1:]
-    size = columns * views.itemsize
-    for i in range(count):
-        y = row + 1 - paths.first[i]
-        if 0 <= y < rows:
-            there = ((item * count + i) * channels + channel) * rows + y
-            _ask_for(views.ctypes.data + there * size, size)
+def room_for_rows(paths, width, held):
+    """Return what `sum_row` writes sums and addresses on."""
+    return np.empty(width, held.dtype), np.empty((2, paths.views.shape[1]), np.int64)
 
 
 @compiled
 def sum_row(sums, found, views, paths, place):
     """Add up the codes that meet a row of a layer, given item, channel, layer and row.
 
-    Addresses of rows of codes are written on `found`.
+    What all paths meet is added up at once, ends that some do not meet one by one. Meanwhile the
+    first layer has rows fetched that the next row of layers is the first to look at. Those of each
+    view lie far apart: no processor foresees so many.
+
+    Args:
+        sums: that are written, whatever was there.
+        found: room for addresses of rows of codes, moved as they meet it, and of those to come.
+        views: `[item, view, c, y, x]`, codes.
+        paths: see `Paths`.
+        place: item, channel, layer and row.
     """
     item, channel, k, row = place
-    sums[:] = 0
     count, channels, rows, columns = views.shape[1:]
-    own, table, beside = sums.ctypes.data, found.ctypes.data, 0
+    left, right = paths.columns[k, count - 1], paths.columns[k, 0] + columns
+    is_wide = right - left >= SUMMED
+    for x in range(left if is_wide else len(sums)):
+        sums[x] = 0
+    for x in range(right if is_wide else len(sums), len(sums)):
+        sums[x] = 0
+    size, apart, number, beside = columns * views.itemsize, channels * rows, 0, 0
+    first = views.ctypes.data + (item * count * channels + channel) * rows * size
+    own, table = sums.ctypes.data, found.ctypes.data
     for n in range(count):
         i, y, x = paths.views[k, n], row - paths.rows[k, n], paths.columns[k, n]
         if 0 <= y < rows:
-            there = ((item * count + i) * channels + channel) * rows + y
-            found[beside] = views.ctypes.data + there * columns * views.itemsize
-            beside += 1
-        if beside > 0 and (n + 1 == count or paths.columns[k, n + 1] != x):
-            _add_codes(sums, views, own + x * sums.itemsize, table, beside, columns)
-            beside = 0
+            here = first + (i * apart + y) * size - x * views.itemsize
+            later = first + (i * apart + row + 1 - paths.first[i]) * size
+            found[0, number], found[1, number] = here, later if k == 0 else here
+            number += 1
+        if number > beside and (n + 1 == count or paths.columns[k, n + 1] != x):
+            rest, some = table + 8 * beside, number - beside
+            if is_wide:
+                _add_codes(sums, views, own, rest, some, (x, left - x))
+                _add_codes(sums, views, own, rest, some, (right, x + columns - right))
+            else:
+                _add_codes(sums, views, own, rest, some, (x, columns))
+            beside = number
+    if is_wide:
+        both = table, table + 8 * count
+        _sum_codes(sums, views, own, both, number, (left, right - left))

@@ -1,31 +1,30 @@
-"""Layers of half size brought to whole size in 16-bit words, where light adds up.
+"""What words of whole size begin as, where light adds up: layers of half size, brought there.
 
     P = e + up(Q - e of half size),  with e the balanced start
 
 Row by row, right before sweeps look at them. What is in brackets is known once, as numbers finer
-than words by a few bits; up is linear interpolation of those.
+than words by a few bits; up is linear interpolation of those. Without it they begin as e.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt16
 from torch import Tensor
 
-from layerfield.kernels.blends import planes_of
 from layerfield.kernels.compiled import compiled, native
-from layerfield.kernels.starts import even_of
 from layerfield.kernels.words import WORDS, Words
 
 _LARGEST = 2**13 - 1  # of numbers with a sign, sums of four of which are words
 
 
 class Enlargement(NamedTuple):
-    """What words of whole size begin as, for compiled loops; see `enlargement_of`.
+    """What words begin as, for compiled loops; see `enlargement_of` and `balanced`.
 
     Args:
         change: `[plane, hy, more]`, Q - e of half size; beyond the last column what was in memory.
-        columns: how many it has.
+        columns: how many it has; none where there is no change.
         bits: of a change that stand behind the point of a word.
         rest: `[item, channel]`, words of pixels that nobody sees.
         before: pixels of whole size by which those of half size begin before the others.
@@ -41,54 +40,85 @@ class Enlargement(NamedTuple):
 NOT_ENLARGED = Enlargement(np.zeros((0, 0, 0), np.int16), 0, 0, np.zeros((0, 0), np.int64), (0, 0))
 
 
+class HalfWords(NamedTuple):
+    """What is known at half size, in words.
+
+    Args:
+        words: the normal equations.
+        found: Q.
+        seen: b.
+    """
+
+    words: Words
+    found: UInt16[Tensor, "*batch 1 layer c hy words"]
+    seen: UInt16[Tensor, "*batch 1 layer c hy words"]
+
+
+def balanced(words: Words, rest: Float[np.ndarray, "item c"]) -> Enlargement:
+    """Return the balanced start alone.
+
+    Args:
+        words: the normal equations.
+        rest: light of pixels that nobody sees.
+    """
+    return Enlargement(np.zeros((0, 0, words.width), np.int16), 0, 0, _of(words, rest), (0, 0))
+
+
 def enlargement_of(
-    words: Words,
-    found: Float[Tensor, "*batch layer c hy hx"],
-    seen: Float[Tensor, "*batch layer c hy hx"],
-    even: tuple[Float[Tensor, "layer 1 hy hx"], Float[Tensor, "*batch 1 c 1 1"]],
-    before: tuple[int, int],
+    words: Words, half: HalfWords, rest: Float[np.ndarray, "item c"], before: tuple[int, int]
 ) -> Enlargement:
     """Return what brings layers of half size to whole size.
 
     Args:
         words: the normal equations of whole size.
-        found: Q; as far as layers of whole size and no less; it goes on at its edges.
-        seen: b of half size; of single precision, on a processor, as all others.
-        even: what b is multiplied by for e of half size, and what is taken where that is 0; pixels
-            of whole size that nobody sees take it, too.
+        half: what is known at half size: as far as layers of whole size and no less; it goes on at
+            its edges.
+        rest: light of pixels that nobody sees.
         before: see `Enlargement`.
     """
-    layers, light = planes_of(found.contiguous()), planes_of(seen.contiguous())
-    planes, rows, columns = layers.shape
-    change = np.empty((planes, rows, -(-columns // WORDS) * WORDS), np.int16)
+    small = half.words
+    columns = small.shares.shape[1]
+    found, seen = (
+        each.contiguous().view(-1, *each.shape[-4:]).numpy() for each in (half.found, half.seen)
+    )
+    change = np.empty((*found.shape[:-1], -(-columns // WORDS) * WORDS), np.int16)
     bits = int(np.log2(_LARGEST // words.most))
-    known, unit = even_of(seen, *even), np.float32(words.most << bits)
-    given = change, layers, light, known, unit
-    _take_away.in_spans(*given, count=planes * rows, numbers=layers.size)
-    rest = np.rint(known.rest * words.most).astype(np.int64)
-    return Enlargement(change, columns, bits, rest, before)
+    unit, own = (
+        np.float32((words.most << bits) / small.most),
+        (rest * small.most).astype(np.float32),
+    )
+    given = change, found, seen, own, unit, small.even, small.row_counts, columns
+    _take_away.in_spans(*given, count=math.prod(found.shape[:-1]), numbers=found.size)
+    planes = change.reshape(-1, *change.shape[-2:])
+    return Enlargement(planes, columns, bits, _of(words, rest), before)
+
+
+def _of(words: Words, light: Float[np.ndarray, "item c"]) -> np.ndarray:
+    """Return words of light."""
+    return np.rint(light * words.most).astype(np.int64)
 
 
 _blend = native("layerfield.kernels.half_lanes", "blend")
 _spread = native("layerfield.kernels.half_lanes", "spread")
 _start = native("layerfield.kernels.half_lanes", "start")
-_HALF = np.float32(0.5)
+_HALF, _PART = np.float32(0.5), np.float32(2**-16)
 
 
 @compiled
-def _take_away(change, layers, seen, even, unit, begin, end):
+def _take_away(change, found, seen, rest, unit, even, row_counts, columns, begin, end):
     """Rows of all planes, one after the other, from and to."""
-    rows, columns = layers.shape[1:]
+    number, channels, rows = found.shape[1:4]
     for n in range(begin, end):
         plane, y = divmod(n, rows)
-        both, channel = divmod(plane, even.rest.shape[1])
-        item, layer = divmod(both, len(even.shares))
-        rest = even.rest[item, channel]
-        to, found, light = change[plane, y], layers[plane, y], seen[plane, y]
-        shares = even.shares[layer, y]
+        both, channel = divmod(plane, channels)
+        item, layer = divmod(both, number)
+        to, own = change[item, layer, channel, y], found[item, layer, channel, y]
+        light = seen[item, layer, channel, y]
+        shares, dark = even[row_counts[layer, y], layer], rest[item, channel]
         for x in range(columns):
-            start = shares[x] * light[x] if shares[x] > 0 else rest
-            to[x] = np.int16(np.floor(unit * (found[x] - start) + _HALF))
+            share = _PART * np.float32(shares[x])
+            start = share * np.float32(light[x]) if shares[x] > 0 else dark
+            to[x] = np.int16(np.floor(unit * (np.float32(own[x]) - start) + _HALF))
 
 
 @compiled
@@ -114,14 +144,15 @@ def enlarge_row(rows, given, words, place, beside, wide):
     number, channels = words.row_counts.shape[0], given.rest.shape[1]
     plane = (item * number + layer) * channels + channel
     height, length = given.change.shape[1:]
-    here, below = divmod(y + given.before[0], 2)
-    other = min(max(here + 2 * below - 1, 0), height - 1)
-    first, size = given.change.ctypes.data, 2 * length
-    near, far = first + (plane * height + here) * size, first + (plane * height + other) * size
-    _blend(beside.ctypes.data + 2 * WORDS, near, far, length)
-    end = WORDS + given.columns
-    beside[WORDS - 1], beside[end] = beside[WORDS], beside[end - 1]
-    _spread(wide.ctypes.data, beside.ctypes.data + 2 * WORDS, length)
+    if given.columns > 0:
+        here, below = divmod(y + given.before[0], 2)
+        other = min(max(here + 2 * below - 1, 0), height - 1)
+        first, size = given.change.ctypes.data, 2 * length
+        near, far = first + (plane * height + here) * size, first + (plane * height + other) * size
+        _blend(beside.ctypes.data + 2 * WORDS, near, far, length)
+        end = WORDS + given.columns
+        beside[WORDS - 1], beside[end] = beside[WORDS], beside[end - 1]
+        _spread(wide.ctypes.data, beside.ctypes.data + 2 * WORDS, length)
     count = words.row_counts[layer, y]
     shares = words.even.ctypes.data + 2 * (count * number + layer) * words.width
     change = wide.ctypes.data + 2 * given.before[1]

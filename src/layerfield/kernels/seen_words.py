@@ -6,12 +6,12 @@ from jaxtyping import Float, UInt16
 from torch import Tensor
 
 from layerfield.kernels.blends import planes_of
-from layerfield.kernels.code_sums import Codes, ask_for_next, sum_row
+from layerfield.kernels.code_sums import Codes, room_for_rows, sum_row
 from layerfield.kernels.compiled import compiled, native
 from layerfield.kernels.words import Words
 
 _BRIGHTEST = np.float32(2**15 - 1)  # the light of all views together
-_sums_to_light = native("layerfield.kernels.code_lanes", "to_light")
+_sums_to_words = native("layerfield.kernels.code_lanes", "to_words")
 _to_words = native("layerfield.kernels.word_lanes", "to_words")
 
 
@@ -54,15 +54,13 @@ def _convert_rows(made, seen, share, begin, end):
 def _add_rows(made, views, paths, held, units, width, share, begin, end):
     """Rows of the layers, all layers together, channel by channel, from and to."""
     number, channels, height, words = made.shape[1:]
-    sums, found = np.zeros(width, held.dtype), np.empty(paths.views.shape[1], np.int64)
-    light = np.empty(width, np.float32)
+    sums, found = room_for_rows(paths, width, held)
+    factor = np.float32((np.float64(units[0]) + np.float64(units[1])) * np.float64(share))
     for place in range(begin, end):
         item, rest = divmod(place, channels * height)
         channel, row = divmod(rest, height)
-        ask_for_next(views, paths, (item, channel, row))
         for k in range(number):
             sum_row(sums, found, views, paths, (item, channel, k, row))
-            own = light.ctypes.data
-            _sums_to_light(sums, own, sums.ctypes.data, units[0], units[1], width)
             there = ((item * number + k) * channels + channel) * height + row
-            _to_words((made.ctypes.data + 2 * there * words,), own, share, _BRIGHTEST, width)
+            to = made.ctypes.data + 2 * there * words
+            _sums_to_words(sums, to, sums.ctypes.data, factor, _BRIGHTEST, width)

@@ -2,12 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.half_size import Enlarged, HalfState, at_half_size, half_of
+from layerfield.half_size import Balanced, Enlarged, HalfState, at_half_size, half_of
 from layerfield.kernels.compiled import is_plain
 from layerfield.kernels.half_words import Enlargement
 from layerfield.kernels.word_sweeps import LayerWords, swept
@@ -35,7 +36,7 @@ class SweptState:
     after: SweepsState | None = None
 
 
-LearnedSweepsState = SweptState | HalfState | LearnedState | Unbegun
+LearnedSweepsState = SweptState | HalfState | Balanced | LearnedState | Unbegun
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ class LearnedSweeps:
     direct: LearnedAdmm
     sweeps: int = 4
     early: int = 5
-    inner: int = 3
+    inner: int = 14
     outer: int = 2
     growth: float = 1.8
     momentum: float = 0.95
@@ -88,17 +89,18 @@ class LearnedSweeps:
         if half is None:
             return self.direct.init(problem, start)
         small = at_half_size(problem, half)
-        return HalfState(half, small, self.init(small, None))
+        below = self._below.init(small, None) if half_of(small) else Balanced(small)
+        return HalfState(half, small, below)
 
     def step(self, problem: Problem, state: LearnedSweepsState) -> LearnedSweepsState:
         return self.steps(problem, state, 1)
 
     def steps(self, problem: Problem, state: LearnedSweepsState, count: int) -> LearnedSweepsState:
-        if isinstance(state, SweptState):
+        if isinstance(state, SweptState | Balanced):
             return self._swept(problem, state, self.sweeps * count)
         if isinstance(state, HalfState):
             early = min(count, self.early - state.count)
-            inner = self.steps(state.problem, state.state, self.inner * early)
+            inner = self._below.steps(state.problem, state.state, early)
             known = replace(state, state=inner, count=state.count + early)
         else:
             made = 0 if isinstance(state, Unbegun) else state.count
@@ -112,35 +114,48 @@ class LearnedSweeps:
     def layers(
         self, problem: Problem, state: LearnedSweepsState
     ) -> Float[Tensor, "*batch 1 layer c ly lx"]:
-        if isinstance(state, SweptState):
-            return state.layers
-        if isinstance(state, Unbegun) or state.count == 0:
+        if isinstance(state, Unbegun | Balanced) or state.count == 0:
             return problem.even_start().clamp(*problem.bounds)
-        return self._swept(problem, self._begun(problem, state), self._behind(state)).layers
+        return self._found(problem, state).layers
+
+    def _found(self, problem: Problem, state: SweptState | HalfState | LearnedState) -> SweptState:
+        """Return what is found by what is known so far."""
+        if isinstance(state, SweptState):
+            return state
+        return self._swept(problem, self._begun(problem, state), self._behind(state))
+
+    @cached_property
+    def _below(self) -> "LearnedSweeps":
+        """What makes iterations at half size."""
+        return replace(self, sweeps=self.inner, outer=self.inner)
 
     def _behind(self, state: HalfState | LearnedState | Unbegun) -> int:
         """Return how many sweeps follow what is known so far."""
         at_half = isinstance(state, HalfState)
-        return self.outer * (state.count + 1) if at_half else self.sweeps
+        return self.outer * state.count if at_half else self.sweeps
 
     def _begun(
         self, problem: Problem, state: HalfState | LearnedState | Unbegun
     ) -> SweptState | Enlarged:
         """Return layers as they are before they are clamped."""
         if isinstance(state, HalfState):
-            found = self.layers(state.problem, state.state)
-            return Enlarged(problem, state.half, state.problem, found)
+            found = self._below._found(state.problem, state.state)
+            words = None if found.words is None else found.words.now
+            return Enlarged(problem, state.half, state.problem, found.layers, words)
         if isinstance(state, LearnedState) and state.after is None:
             return SweptState(problem.gram.from_torus(state.shadow))
         return SweptState(self.direct.layers(problem, state))
 
-    def _swept(self, problem: Problem, state: SweptState | Enlarged, count: int) -> SweptState:
+    def _swept(
+        self, problem: Problem, state: SweptState | Enlarged | Balanced, count: int
+    ) -> SweptState:
         """Return the state after so many sweeps more."""
         words = None if is_plain() else problem.constants.words
-        if isinstance(state, Enlarged) and words is not None:
-            known = self._in_words(problem, words, state.words, 0, min(count, _enough(words)))
-            return self._swept(problem, known, count - known.count)
-        if isinstance(state, Enlarged):
+        if not isinstance(state, SweptState):
+            begun = None if words is None else state.words
+            if words is not None and begun is not None:
+                known = self._in_words(problem, words, begun, 0, min(count, _enough(words)))
+                return self._swept(problem, known, count - known.count)
             state = SweptState(state.layers)
         left = min(count, max(0, _enough(problem.constants.words) - state.count))
         if left > 0 and words is not None:

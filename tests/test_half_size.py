@@ -90,8 +90,13 @@ def test_means_of_pixels_and_the_way_back_are_what_pytorch_makes(kind, size):
     code = 1e-5 if kind == "codes" else 0  # half of one of 16 bits
     torch.testing.assert_close(small.views.all(), known.views.all(), atol=1e-6 + code, rtol=1e-5)
     assert expected.shape == problem.layer_shape
-    words, begun = problem.constants.words, Enlarged(problem, half, small, layers).words
+    words, own = problem.constants.words, small.constants.words
     assert words is not None
+    assert own is not None
+    known = torch.zeros(*layers.shape[:-1], own.width, dtype=torch.int32)
+    known[..., : layers.shape[-1]] = (layers * own.most).round().int()
+    begun = Enlarged(problem, half, small, layers, known.to(torch.uint16)).words
+    assert begun is not None
     _, made = word_sweeps.swept(words, problem.back_projected_words, begun, [0.0])
     found = made.ago[..., : expected.shape[-1]].float() / words.most
     torch.testing.assert_close(found, expected.clamp(0, 1), atol=2 / words.most, rtol=0)

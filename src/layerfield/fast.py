@@ -239,7 +239,7 @@ def _with_sweeps(few: bool) -> LearnedSweeps:
     """
     known = shipped_steps("additive").at_most(_BEFORE_WORDS).direct
     solver = LearnedSweeps(replace(known, full=known.full[:1]))
-    return solver if few else replace(solver, early=3, inner=2, outer=4)
+    return solver if few else replace(solver, early=4, inner=12, outer=3)
 
 
 def warm_solver(problem: Problem, count: int) -> RowNewton | LearnedSweeps | WarmAdmm:

@@ -1,4 +1,4 @@
-"""A learned step, then sweeps layer by layer in words, where views stand in a grid."""
+"""Sweeps in words, layer by layer, where views stand in a grid: from half size, or a step."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -41,36 +41,38 @@ LearnedSweepsState = SweptState | HalfState | Balanced | LearnedState | Unbegun
 
 @dataclass(frozen=True)
 class LearnedSweeps:
-    """A learned step, and accelerated sweeps behind it, in 16-bit words.
+    """Accelerated sweeps in 16-bit words, first of pictures of half size.
 
         P_k <- clamp((b_k - sum_j G_kj P_j) / A_k^T W A_k 1),  layer by layer, inner ones first,
         from clamp(P + push (P - P of one sweep ago))
 
-    Steps in the Fourier domain are quick to find what is far apart, sweeps what is near, and at
-    bounds; without the views and in words, four cost less than a step. What is far apart is found
-    at half size, where all costs a quarter (see `half_size`): by a step, by sweeps behind it, and,
-    where views are many, at half the half. From there layers of whole size begin,
+    Sweeps find what is near, and what is at bounds. What is far apart is near at half size, where a
+    sweep costs a fifth (see `half_size`), and where views are many, nearer at half the half. The
+    smallest size begins with the balanced start e, larger ones with what was found below, Q:
 
         P = e + up(Q - e of half size)
 
-    with e the balanced start. Where half size serves not, the step is of whole size. The layers of
-    any number of iterations have been swept over; behind `early` ones, and from layers that are
-    given, an iteration is four sweeps. The push grows with the sweeps. Where rounding would be
-    seen, behind 131 of 5x5 views and three layers, others in floats follow (`Sweeps`).
+    Where half size serves not, a learned step comes first: in the Fourier domain what is far apart
+    is found at once. Without the views and in words, four sweeps cost less than such a step.
+
+    The layers of any number of iterations have been swept over. Behind `early` ones, where half
+    size tells no more, and from layers that are given, an iteration is four sweeps. The push grows
+    with the sweeps. Where rounding would be seen, behind 131 of 5x5 views and three layers, others
+    in floats follow (`Sweeps`).
 
     Args:
         direct: the step; of several, all come before sweeps.
         sweeps: of an iteration, which then takes about as long as a step; and behind that.
         early: iterations that go on at half size,
-        inner: each by so many there,
-        outer: and by so many sweeps of whole size; of the first twice as many.
+        inner: each by so many sweeps at every smaller size,
+        outer: and by so many of whole size.
         growth: of the push: growth n / (n + 2) for the nth behind the first sweep.
         momentum: the largest push.
     """
 
     direct: LearnedAdmm
     sweeps: int = 4
-    early: int = 5
+    early: int = 4
     inner: int = 14
     outer: int = 2
     growth: float = 1.8

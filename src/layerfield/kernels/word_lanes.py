@@ -203,10 +203,11 @@ def _write(
     (now, rest), (made, left) = found, rows
     if ahead:
         ago, thresholds, factor, more = ahead
-        numbers = [builder.trunc(each, _WORD) for each in (factor, more)]
-        both = [lanes.read(row, place, _WORD) for row in (ago, thresholds)]
+        factor, more = (builder.trunc(each, _WORD) for each in (factor, more))
+        last, threshold = (lanes.read(row, place, _WORD) for row in (ago, thresholds))
         lanes.write(now, ago, place)
-        lanes.write(_pushed(builder, lanes, now, *both, *numbers, limit), made, place)
+        pushed = _pushed(builder, lanes, now, last, threshold, factor, more, limit)
+        lanes.write(pushed, made, place)
     else:
         lanes.write(rest, left, place)
         lanes.write(now, made, place)

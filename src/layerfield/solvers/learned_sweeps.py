@@ -83,6 +83,8 @@ class LearnedSweeps:
     ) -> LearnedSweepsState:
         if isinstance(start, HalfState):
             start = self.layers(problem, start) if start.count > 0 else None
+        elif isinstance(start, Balanced):
+            start = None
         if isinstance(start, SweptState):
             return start
         if isinstance(start, Tensor):

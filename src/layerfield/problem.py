@@ -21,7 +21,7 @@ from layerfield.kernels.codes import mean_of
 from layerfield.kernels.compiled import serve
 from layerfield.kernels.gpu.serving import on_gpu
 from layerfield.kernels.light_paths import LightPaths
-from layerfield.kernels.seen_words import words_of_light
+from layerfield.kernels.seen_words import light_of_words, words_of_light
 from layerfield.kernels.starts import shared_start
 from layerfield.links import Additive, Link
 from layerfield.pieces import Piece, pieces
@@ -169,10 +169,9 @@ class Problem:
     @cached_property
     def rest_of_words(self) -> Float[np.ndarray, "item c"]:
         """What `even_shares` has for pixels that nobody sees, by those words."""
-        words, width = self.constants.words, self.layer_shape[-1]
+        words = self.constants.words
         assert words is not None
-        first = self.back_projected_words.view(torch.int16)[..., 0, :, :, :width]
-        light = first.sum(dim=(-2, -1)).double().flatten(end_dim=-2).numpy()
+        light = light_of_words(self.back_projected_words, self.layer_shape[-1])
         return light * (words.weight / words.most * self.constants.mean_share)
 
     @property

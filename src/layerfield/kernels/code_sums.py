@@ -120,8 +120,9 @@ def room_for_rows(paths, width, held):
 def sum_row(sums, found, views, paths, place):
     """Add up the codes that meet a row of a layer, given item, channel, layer and row.
 
-    What all paths meet is added up at once, ends that some do not meet one by one. Meanwhile the
-    first layer has rows fetched that the next row of layers is the first to look at. Those of each
+    What all paths meet is added up at once, ends that some do not meet one by one. Meanwhile rows
+    are fetched that the next but one row of layers is the first to look at, and every layer has as
+    many of them fetched: memory is waited for where it is asked for much at once. Those of each
     view lie far apart: no processor foresees so many.
 
     Args:
@@ -132,7 +133,7 @@ def sum_row(sums, found, views, paths, place):
         place: item, channel, layer and row.
     """
     item, channel, k, row = place
-    count, channels, rows, columns = views.shape[1:]
+    layers, (count, channels, rows, columns) = len(paths.views), views.shape[1:]
     left, right = paths.columns[k, count - 1], paths.columns[k, 0] + columns
     is_wide = right - left >= SUMMED
     for x in range(left if is_wide else len(sums)):
@@ -146,8 +147,8 @@ def sum_row(sums, found, views, paths, place):
         i, y, x = paths.views[k, n], row - paths.rows[k, n], paths.columns[k, n]
         if 0 <= y < rows:
             here = first + (i * apart + y) * size - x * views.itemsize
-            later = first + (i * apart + row + 1 - paths.first[i]) * size
-            found[0, number], found[1, number] = here, later if k == 0 else here
+            later = first + (i * apart + row + 2 - paths.first[i]) * size
+            found[0, number], found[1, number] = here, later if i % layers == k else here
             number += 1
         if number > beside and (n + 1 == count or paths.columns[k, n + 1] != x):
             rest, some = table + 8 * beside, number - beside

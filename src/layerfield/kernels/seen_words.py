@@ -2,7 +2,7 @@
 
 import numpy as np
 import torch
-from jaxtyping import Float, UInt16
+from jaxtyping import Float, Float64, UInt16
 from torch import Tensor
 
 from layerfield.kernels.blends import planes_of
@@ -37,6 +37,16 @@ def words_of_codes(codes: Codes, words: Words) -> UInt16[Tensor, "*batch layer c
     return made
 
 
+def light_of_words(
+    seen: UInt16[Tensor, "*batch layer c ly words"], width: int
+) -> Float64[np.ndarray, "item c"]:
+    """Return the sum of the first layer's words, of so many pixels of a row."""
+    planes = seen.view(-1, *seen.shape[-4:]).numpy()
+    made = np.zeros((planes.shape[0], planes.shape[2]))
+    _add_up(made, planes, width)
+    return made
+
+
 def _share(words: Words) -> np.float32:
     return np.float32(words.most / words.weight)
 
@@ -64,3 +74,15 @@ def _add_rows(made, views, paths, held, units, width, share, begin, end):
             there = ((item * number + k) * channels + channel) * height + row
             to = made.ctypes.data + 2 * there * words
             _sums_to_words(sums, to, sums.ctypes.data, factor, _BRIGHTEST, width)
+
+
+@compiled
+def _add_up(made, planes, width):
+    """Sums over the first layer."""
+    for item in range(planes.shape[0]):
+        for channel in range(planes.shape[2]):
+            for y in range(planes.shape[3]):
+                row, total = planes[item, 0, channel, y], np.uint32(0)
+                for x in range(width):
+                    total += np.uint32(row[x])
+                made[item, channel] += total

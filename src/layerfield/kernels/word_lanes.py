@@ -138,7 +138,7 @@ def settle_inside(
 
 @intrinsic
 def settle(
-    _: Any, rows: Any, ahead: Any, across: Any, masks: Any, number: Any, most: Any, span: Any
+    _: Any, rows: Any, ahead: Any, across: Any, masks: Any, number: Any, most: Any, ends: Any
 ) -> Any:
     """Write P = min(max(b - sum, 0) / views, most), and what is left of b, sum taken away.
 
@@ -153,34 +153,47 @@ def settle(
         masks: where those of rows of masks are.
         number: of those.
         most: the largest P.
-        span: the first word of all rows, and how many, `EDGE` times a whole number.
+        ends: of all rows, `EDGE` times a whole number: the words before one, and those from one on
+            to one. Both go side by side as far as the shorter one: each alone waits for its sums.
     """
 
     def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
-        rows, ahead, *tables, number, most, span = (
+        rows, ahead, *tables, number, most, ends = (
             cgutils.unpack_tuple(builder, each) if isinstance(kind, kinds.BaseTuple) else each
             for each, kind in zip(values, given, strict=True)
         )
         made, seen, left, *quotient = rows
         limit = builder.trunc(most, _WORD)
         tables = [builder.inttoptr(each, WHOLE.as_pointer()) for each in tables]
-        for lanes, (place,) in _within(builder, span, (1, EDGE)):
-            (shown,) = _sums(builder, lanes, [place], tables, number)
-            light, half, gain, power, own = (
-                lanes.read(row, place, _WORD) for row in (seen, *quotient, made)
-            )
-            rest = _less(builder, lanes, light, shown)
-            found = _high_product(builder, lanes, builder.add(rest, half), gain)
-            is_seen = builder.icmp_unsigned("!=", gain, lanes.constant(_WORD, 0))
-            kept = builder.add(own, lanes.constant(_WORD, 1))  # as if it had been multiplied once
-            found = builder.select(is_seen, found, kept)
-            found = _high_product(builder, lanes, found, power)
-            found = _at_most(builder, found, lanes.all(limit))
-            _write(builder, lanes, place, (found, rest), (made, left), ahead, limit)
+        for lanes, places in _at_ends(builder, *ends):
+            sums = _sums(builder, lanes, places, tables, number)
+            for shown, place in zip(sums, places, strict=True):
+                light, half, gain, power, own = (
+                    lanes.read(row, place, _WORD) for row in (seen, *quotient, made)
+                )
+                rest = _less(builder, lanes, light, shown)
+                found = _high_product(builder, lanes, builder.add(rest, half), gain)
+                is_seen = builder.icmp_unsigned("!=", gain, lanes.constant(_WORD, 0))
+                kept = builder.add(own, lanes.constant(_WORD, 1))  # as if multiplied once
+                found = builder.select(is_seen, found, kept)
+                found = _high_product(builder, lanes, found, power)
+                found = _at_most(builder, found, lanes.all(limit))
+                _write(builder, lanes, place, (found, rest), (made, left), ahead, limit)
         return WHOLE(0)
 
-    given = rows, ahead, across, masks, number, most, span
+    given = rows, ahead, across, masks, number, most, ends
     return kinds.intp(*given), generate
+
+
+def _at_ends(builder: Any, left: Any, right: Any, end: Any) -> Any:
+    """Yield lanes and places, before one word and from one on, as far as both go in pairs."""
+    more = builder.sub(end, right)
+    both = builder.select(builder.icmp_signed("<", left, more), left, more)
+    before = (both,), builder.sub(left, both)
+    after = (builder.add(right, both),), builder.sub(more, both)
+    for begins, count in (((WHOLE(0), right), both), before, after):
+        for lanes, (place,) in side_by_side(builder, count, (1, EDGE)):
+            yield lanes, [builder.add(begin, place) for begin in begins]
 
 
 def _within(builder: Any, span: Sequence[Any], *shapes: tuple[int, int]) -> Any:

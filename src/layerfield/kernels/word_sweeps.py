@@ -339,8 +339,7 @@ def _find(words, room, here, ahead, place):
     )
     halves, gains = words.halves.ctypes.data + table, words.gains.ctypes.data + table
     rows = (*here, room.left, halves, gains, words.powers.ctypes.data + table)
-    _settle(rows, ahead, across, masks, bands, words.most, (0, left))
-    _settle(rows, ahead, across, masks, bands, words.most, (right, words.used - right))
+    _settle(rows, ahead, across, masks, bands, words.most, (left, right, words.used))
     inner, quotient = (
         (*here, room.left, gains),
         (words.inner[count, k, 0], words.inner[count, k, 1]),

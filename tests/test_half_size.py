@@ -139,7 +139,6 @@ def test_layers_of_half_size_lie_where_those_of_whole_size_do(text, size):
 
 @pytest.mark.parametrize("views", [5, 9])
 def test_half_size_is_a_better_start_than_steps_of_whole_size(views, monkeypatch):
-    """Four iterations from half size take as long as two with a step of whole size."""
     shown = display(f"views = [{views}, {views}]\ndisparity = [1, 0, -1]")
     field = procedural_light_field(
         grid=(views, views), size=(128, 160), disparity_range=(-1.5, 1.5), seed=4
@@ -147,7 +146,7 @@ def test_half_size_is_a_better_start_than_steps_of_whole_size(views, monkeypatch
     field = replace(field, stored=(1.3 * field.stored - 0.15).clamp(0, 1))
     problem = pose(field, shown)
     best = problem.mean_square_error(solve(problem, solver_for(problem, 60), iterations=60).layers)
-    found = problem.mean_square_error(synthesize(field, shown, method="fast", iterations=4).layers)
+    found = problem.mean_square_error(synthesize(field, shown, method="fast", iterations=2).layers)
     monkeypatch.setattr("layerfield.solvers.learned_sweeps.half_of", lambda *_: None)
     known = problem.mean_square_error(synthesize(field, shown, method="fast", iterations=2).layers)
     assert found < 1.02 * best

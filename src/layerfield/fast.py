@@ -232,15 +232,15 @@ def solver_for(problem: Problem, count: int) -> Solver:
 
 @lru_cache
 def _with_sweeps(few: bool) -> LearnedSweeps:
-    """Return what sweeps in words, given whether layers are few.
+    """Return what sweeps in words, given whether layers are few: behind the first step of two.
 
-    Where half size serves not it begins with the first step of two, however few iterations. The
-    second would do no more than sweeps do, and cost as much as many of them. First steps of more go
-    farther, but by softer penalties: layers of a scene that moves would move less alike.
+    However few iterations: the second would do no more than sweeps do, and cost as much as many of
+    them. First steps of more go farther, but by softer penalties: layers of a scene that moves
+    would move less alike.
     """
     known = shipped_steps("additive").at_most(_BEFORE_WORDS).direct
     solver = LearnedSweeps(replace(known, full=known.full[:1]))
-    return solver if few else replace(solver, inner=12, outer=3)
+    return solver if few else replace(solver, early=3, inner=2, outer=4)
 
 
 def warm_solver(problem: Problem, count: int) -> RowNewton | LearnedSweeps | WarmAdmm:

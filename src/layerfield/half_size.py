@@ -18,7 +18,7 @@ from torch.nn.functional import conv2d, interpolate, pad
 from layerfield.kept_views import LARGEST, KeptViews
 from layerfield.kernels.codes import codes_of
 from layerfield.kernels.compiled import serve
-from layerfield.kernels.half_words import Enlargement, HalfWords, balanced, enlargement_of
+from layerfield.kernels.half_words import Enlargement, HalfWords, enlargement_of
 from layerfield.kernels.halves import halved_codes, halved_views, refined
 from layerfield.problem import Problem
 from layerfield.projection import Projection
@@ -147,24 +147,6 @@ class Enlarged:
             return None
         half = HalfWords(small, self.found_words, self.small.back_projected_words)
         return enlargement_of(words, half, self.small.rest_of_words, self.half.before)
-
-
-@dataclass(frozen=True, eq=False)
-class Balanced:
-    """The balanced start of a problem, where light adds up; made when asked for."""
-
-    problem: Problem
-
-    @property
-    def layers(self) -> Float[Tensor, "*batch 1 layer c ly lx"]:
-        """The layers."""
-        return self.problem.even_start()
-
-    @property
-    def words(self) -> Enlargement | None:
-        """What compiled loops make them of in words, row by row; None where there are none."""
-        words = self.problem.constants.words
-        return None if words is None else balanced(words, self.problem.rest_of_words)
 
 
 def at_whole_size_of_products(

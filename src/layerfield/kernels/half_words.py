@@ -1,9 +1,9 @@
-"""What words of whole size begin as, where light adds up: layers of half size, brought there.
+"""Layers of half size brought to whole size in 16-bit words, where light adds up.
 
     P = e + up(Q - e of half size),  with e the balanced start
 
 Row by row, right before sweeps look at them. What is in brackets is known once, as numbers finer
-than words by a few bits; up is linear interpolation of those. Without it they begin as e.
+than words by a few bits; up is linear interpolation of those.
 """
 
 import math
@@ -20,11 +20,11 @@ _LARGEST = 2**13 - 1  # of numbers with a sign, sums of four of which are words
 
 
 class Enlargement(NamedTuple):
-    """What words begin as, for compiled loops; see `enlargement_of` and `balanced`.
+    """What words of whole size begin as, for compiled loops; see `enlargement_of`.
 
     Args:
         change: `[plane, hy, more]`, Q - e of half size; beyond the last column what was in memory.
-        columns: how many it has; none where there is no change.
+        columns: how many it has.
         bits: of a change that stand behind the point of a word.
         rest: `[item, channel]`, words of pixels that nobody sees.
         before: pixels of whole size by which those of half size begin before the others.
@@ -54,16 +54,6 @@ class HalfWords(NamedTuple):
     seen: UInt16[Tensor, "*batch 1 layer c hy words"]
 
 
-def balanced(words: Words, rest: Float[np.ndarray, "item c"]) -> Enlargement:
-    """Return the balanced start alone.
-
-    Args:
-        words: the normal equations.
-        rest: light of pixels that nobody sees.
-    """
-    return Enlargement(np.zeros((0, 0, words.width), np.int16), 0, 0, _of(words, rest), (0, 0))
-
-
 def enlargement_of(
     words: Words, half: HalfWords, rest: Float[np.ndarray, "item c"], before: tuple[int, int]
 ) -> Enlargement:
@@ -90,12 +80,8 @@ def enlargement_of(
     given = change, found, seen, own, unit, small.even, small.row_counts, columns
     _take_away.in_spans(*given, count=math.prod(found.shape[:-1]), numbers=found.size)
     planes = change.reshape(-1, *change.shape[-2:])
-    return Enlargement(planes, columns, bits, _of(words, rest), before)
-
-
-def _of(words: Words, light: Float[np.ndarray, "item c"]) -> np.ndarray:
-    """Return words of light."""
-    return np.rint(light * words.most).astype(np.int64)
+    own = np.rint(rest * words.most).astype(np.int64)
+    return Enlargement(planes, columns, bits, own, before)
 
 
 _blend = native("layerfield.kernels.half_lanes", "blend")
@@ -144,15 +130,14 @@ def enlarge_row(rows, given, words, place, beside, wide):
     number, channels = words.row_counts.shape[0], given.rest.shape[1]
     plane = (item * number + layer) * channels + channel
     height, length = given.change.shape[1:]
-    if given.columns > 0:
-        here, below = divmod(y + given.before[0], 2)
-        other = min(max(here + 2 * below - 1, 0), height - 1)
-        first, size = given.change.ctypes.data, 2 * length
-        near, far = first + (plane * height + here) * size, first + (plane * height + other) * size
-        _blend(beside.ctypes.data + 2 * WORDS, near, far, length)
-        end = WORDS + given.columns
-        beside[WORDS - 1], beside[end] = beside[WORDS], beside[end - 1]
-        _spread(wide.ctypes.data, beside.ctypes.data + 2 * WORDS, length)
+    here, below = divmod(y + given.before[0], 2)
+    other = min(max(here + 2 * below - 1, 0), height - 1)
+    first, size = given.change.ctypes.data, 2 * length
+    near, far = first + (plane * height + here) * size, first + (plane * height + other) * size
+    _blend(beside.ctypes.data + 2 * WORDS, near, far, length)
+    end = WORDS + given.columns
+    beside[WORDS - 1], beside[end] = beside[WORDS], beside[end - 1]
+    _spread(wide.ctypes.data, beside.ctypes.data + 2 * WORDS, length)
     count = words.row_counts[layer, y]
     shares = words.even.ctypes.data + 2 * (count * number + layer) * words.width
     change = wide.ctypes.data + 2 * given.before[1]

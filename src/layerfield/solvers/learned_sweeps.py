@@ -1,14 +1,13 @@
-"""Sweeps in words, layer by layer, where views stand in a grid: from half size, or a step."""
+"""A learned step, then sweeps layer by layer in words, where views stand in a grid."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from layerfield.half_size import Balanced, Enlarged, HalfState, at_half_size, half_of
+from layerfield.half_size import Enlarged, HalfState, at_half_size, half_of
 from layerfield.kernels.compiled import is_plain
 from layerfield.kernels.half_words import Enlargement
 from layerfield.kernels.word_sweeps import LayerWords, swept
@@ -36,44 +35,42 @@ class SweptState:
     after: SweepsState | None = None
 
 
-LearnedSweepsState = SweptState | HalfState | Balanced | LearnedState | Unbegun
+LearnedSweepsState = SweptState | HalfState | LearnedState | Unbegun
 
 
 @dataclass(frozen=True)
 class LearnedSweeps:
-    """Accelerated sweeps in 16-bit words, first of pictures of half size.
+    """A learned step, and accelerated sweeps behind it, in 16-bit words.
 
         P_k <- clamp((b_k - sum_j G_kj P_j) / A_k^T W A_k 1),  layer by layer, inner ones first,
         from clamp(P + push (P - P of one sweep ago))
 
-    Sweeps find what is near, and what is at bounds. What is far apart is near at half size, where a
-    sweep costs a fifth (see `half_size`), and where views are many, nearer at half the half. The
-    smallest size begins with the balanced start e, larger ones with what was found below, Q:
+    Steps in the Fourier domain are quick to find what is far apart, sweeps what is near, and at
+    bounds; without the views and in words, four cost less than a step. What is far apart is found
+    at half size, where all costs a quarter (see `half_size`): by a step, by sweeps behind it, and,
+    where views are many, at half the half. From there layers of whole size begin,
 
         P = e + up(Q - e of half size)
 
-    Where half size serves not, a learned step comes first: in the Fourier domain what is far apart
-    is found at once. Without the views and in words, four sweeps cost less than such a step.
-
-    The layers of any number of iterations have been swept over. Behind `early` ones, where half
-    size tells no more, and from layers that are given, an iteration is four sweeps. The push grows
-    with the sweeps. Where rounding would be seen, behind 131 of 5x5 views and three layers, others
-    in floats follow (`Sweeps`).
+    with e the balanced start. Where half size serves not, the step is of whole size. The layers of
+    any number of iterations have been swept over; behind `early` ones, and from layers that are
+    given, an iteration is four sweeps. The push grows with the sweeps. Where rounding would be
+    seen, behind 131 of 5x5 views and three layers, others in floats follow (`Sweeps`).
 
     Args:
         direct: the step; of several, all come before sweeps.
         sweeps: of an iteration, which then takes about as long as a step; and behind that.
         early: iterations that go on at half size,
-        inner: each by so many sweeps at every smaller size,
-        outer: and by so many of whole size.
+        inner: each by so many there,
+        outer: and by so many sweeps of whole size; of the first twice as many.
         growth: of the push: growth n / (n + 2) for the nth behind the first sweep.
         momentum: the largest push.
     """
 
     direct: LearnedAdmm
     sweeps: int = 4
-    early: int = 4
-    inner: int = 14
+    early: int = 5
+    inner: int = 3
     outer: int = 2
     growth: float = 1.8
     momentum: float = 0.95
@@ -83,8 +80,6 @@ class LearnedSweeps:
     ) -> LearnedSweepsState:
         if isinstance(start, HalfState):
             start = self.layers(problem, start) if start.count > 0 else None
-        elif isinstance(start, Balanced):
-            start = None
         if isinstance(start, SweptState):
             return start
         if isinstance(start, Tensor):
@@ -93,18 +88,17 @@ class LearnedSweeps:
         if half is None:
             return self.direct.init(problem, start)
         small = at_half_size(problem, half)
-        below = self._below.init(small, None) if half_of(small) else Balanced(small)
-        return HalfState(half, small, below)
+        return HalfState(half, small, self.init(small, None))
 
     def step(self, problem: Problem, state: LearnedSweepsState) -> LearnedSweepsState:
         return self.steps(problem, state, 1)
 
     def steps(self, problem: Problem, state: LearnedSweepsState, count: int) -> LearnedSweepsState:
-        if isinstance(state, SweptState | Balanced):
+        if isinstance(state, SweptState):
             return self._swept(problem, state, self.sweeps * count)
         if isinstance(state, HalfState):
             early = min(count, self.early - state.count)
-            inner = self._below.steps(state.problem, state.state, early)
+            inner = self.steps(state.problem, state.state, self.inner * early)
             known = replace(state, state=inner, count=state.count + early)
         else:
             made = 0 if isinstance(state, Unbegun) else state.count
@@ -118,44 +112,37 @@ class LearnedSweeps:
     def layers(
         self, problem: Problem, state: LearnedSweepsState
     ) -> Float[Tensor, "*batch 1 layer c ly lx"]:
-        if isinstance(state, Unbegun | Balanced) or state.count == 0:
+        if not isinstance(state, SweptState) and (isinstance(state, Unbegun) or state.count == 0):
             return problem.even_start().clamp(*problem.bounds)
         return self._found(problem, state).layers
 
-    def _found(self, problem: Problem, state: SweptState | HalfState | LearnedState) -> SweptState:
+    def _found(self, problem: Problem, state: LearnedSweepsState) -> SweptState:
         """Return what is found by what is known so far."""
         if isinstance(state, SweptState):
             return state
         return self._swept(problem, self._begun(problem, state), self._behind(state))
 
-    @cached_property
-    def _below(self) -> "LearnedSweeps":
-        """What makes iterations at half size."""
-        return replace(self, sweeps=self.inner, outer=self.inner)
-
     def _behind(self, state: HalfState | LearnedState | Unbegun) -> int:
         """Return how many sweeps follow what is known so far."""
         at_half = isinstance(state, HalfState)
-        return self.outer * state.count if at_half else self.sweeps
+        return self.outer * (state.count + 1) if at_half else self.sweeps
 
     def _begun(
         self, problem: Problem, state: HalfState | LearnedState | Unbegun
     ) -> SweptState | Enlarged:
         """Return layers as they are before they are clamped."""
         if isinstance(state, HalfState):
-            found = self._below._found(state.problem, state.state)
+            found = self._found(state.problem, state.state)
             words = None if found.words is None else found.words.now
             return Enlarged(problem, state.half, state.problem, found.layers, words)
         if isinstance(state, LearnedState) and state.after is None:
             return SweptState(problem.gram.from_torus(state.shadow))
         return SweptState(self.direct.layers(problem, state))
 
-    def _swept(
-        self, problem: Problem, state: SweptState | Enlarged | Balanced, count: int
-    ) -> SweptState:
+    def _swept(self, problem: Problem, state: SweptState | Enlarged, count: int) -> SweptState:
         """Return the state after so many sweeps more."""
         words = None if is_plain() else problem.constants.words
-        if not isinstance(state, SweptState):
+        if isinstance(state, Enlarged):
             begun = None if words is None else state.words
             if words is not None and begun is not None:
                 known = self._in_words(problem, words, begun, 0, min(count, _enough(words)))

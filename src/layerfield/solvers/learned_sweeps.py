@@ -112,7 +112,9 @@ class LearnedSweeps:
     def layers(
         self, problem: Problem, state: LearnedSweepsState
     ) -> Float[Tensor, "*batch 1 layer c ly lx"]:
-        if not isinstance(state, SweptState) and (isinstance(state, Unbegun) or state.count == 0):
+        if isinstance(state, SweptState):
+            return state.layers
+        if isinstance(state, Unbegun) or state.count == 0:
             return problem.even_start().clamp(*problem.bounds)
         return self._found(problem, state).layers
 

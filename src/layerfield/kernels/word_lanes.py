@@ -15,12 +15,12 @@ from numba.extending import intrinsic
 
 from layerfield.kernels.lanes import FREE
 from layerfield.kernels.side_by_side import WHOLE, Lanes, side_by_side, summed
-from layerfield.kernels.words import EDGE, WORDS
+from layerfield.kernels.words import WORDS
 
 _WORD, _INT, _FLOAT = ir.IntType(16), ir.IntType(32), ir.FloatType()
-_ADDED = (4, WORDS), (1, WORDS), (1, EDGE)  # vectors, and words of each
-_ALONE = (1, WORDS), (1, EDGE)
-_ONE_BY_ONE = (1, WORDS), (1, 1)  # floats are as many as there are pixels
+_ALONE = (1, WORDS)  # vectors, and words of each
+_ADDED = (4, WORDS), _ALONE
+_ONE_BY_ONE = _ALONE, (1, 1)  # floats are as many as there are pixels
 _BITS = 16
 
 
@@ -32,14 +32,14 @@ def add_up(_: Any, made: Any, rows: Any, number: Any, count: Any) -> Any:
         made: address of a row, apart from those that are added.
         rows: where the addresses of rows are.
         number: of rows, one at the least.
-        count: of words, `EDGE` times a whole number.
+        count: of words, `WORDS` times a whole number.
     """
 
     def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
         made, rows, number, count = values
         table = builder.inttoptr(rows, WHOLE.as_pointer())
         for lanes, places in side_by_side(builder, count, *_ADDED):
-            sums = _sums(builder, lanes, places, [table], number)
+            sums = _sums(builder, lanes, [places], [table], number)
             for each, place in zip(sums, places, strict=True):
                 lanes.write(each, made, place)
         return WHOLE(0)
@@ -56,7 +56,7 @@ def add_up_both(_: Any, both: Any, first: Any, apart: Any, shared: Any, count: A
         first: address that rows are so many bytes apart from,
         apart: as are here.
         shared: how many are.
-        count: of words, `EDGE` times a whole number.
+        count: of words, `WORDS` times a whole number.
     """
 
     def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
@@ -86,91 +86,143 @@ def add_up_both(_: Any, both: Any, first: Any, apart: Any, shared: Any, count: A
 
 
 def _sums(
-    builder: Any, lanes: Lanes, places: Sequence[Any], tables: Sequence[Any], number: Any
+    builder: Any,
+    lanes: Lanes,
+    places: Sequence[Sequence[Any]],
+    tables: Sequence[Any],
+    number: Any,
 ) -> list[Any]:
-    """Return sums of rows, in registers, masked where there is a table of masks, too."""
+    """Return sums of rows, in registers, masked where there is a table of masks, too.
+
+    Each table has places of its own.
+    """
 
     def words(n: Any) -> list[Any]:
         rows = [builder.load(builder.gep(each, [n])) for each in tables]
-        read = [[lanes.read(row, place, _WORD) for row in rows] for place in places]
-        return [reduce(builder.and_, each) for each in read]
+        read = [
+            [lanes.read(row, place, _WORD) for place in own]
+            for row, own in zip(rows, places, strict=True)
+        ]
+        return [reduce(builder.and_, each) for each in zip(*read, strict=True)]
 
-    return summed(builder, [lanes.constant(_WORD, 0) for _ in places], number, words)
+    return summed(builder, [lanes.constant(_WORD, 0) for _ in places[0]], number, words)
 
 
 @intrinsic
 def settle_inside(
-    _: Any, rows: Any, ahead: Any, across: Any, number: Any, quotient: Any, most: Any, span: Any
+    _: Any,
+    rows: Any,
+    ahead: Any,
+    noise: Any,
+    across: Any,
+    number: Any,
+    quotient: Any,
+    most: Any,
+    span: Any,
+    apart: Any,
 ) -> Any:
     """Do what `settle` does where every view looks.
 
     Args:
         rows: addresses of rows: P, b, what is left of b, and gains.
         ahead: as `settle` has it.
+        noise: likewise.
         across: likewise.
         number: likewise.
         quotient: half, and by how many bits what was multiplied by a gain is shifted.
         most: the largest P.
-        span: as `settle` has it.
+        span: the first word, and how many, `WORDS` times a whole number.
+        apart: as `settle` has it.
     """
 
     def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
-        (made, seen, left, gains), ahead, across, number, quotient, most, span = (
-            cgutils.unpack_tuple(builder, each) if isinstance(kind, kinds.BaseTuple) else each
-            for each, kind in zip(values, given, strict=True)
+        (made, seen, left, gains), ahead, noise, across, number, quotient, most, span, apart = (
+            _apart(builder, given, values)
         )
         half, bits, limit = (builder.trunc(each, _WORD) for each in (*quotient, most))
         table = builder.inttoptr(across, WHOLE.as_pointer())
-        for lanes, places in _within(builder, span, *_ADDED):
-            sums = _sums(builder, lanes, places, [table], number)
-            for shown, place in zip(sums, places, strict=True):
+        begin, count = span
+        shapes = _ADDED if len(noise) == 1 else (_ALONE,)
+        for lanes, steps in side_by_side(builder, count, *shapes):
+            places = [builder.add(begin, step) for step in steps]
+            below, beneath = (_below(builder, places, noise, each) for each in apart)
+            sums = _sums(builder, lanes, [below], [table], number)
+            here = [(place, each) for each in noise for place in places]
+            for shown, place, (above, threshold) in zip(sums, beneath, here, strict=True):
                 rest = _less(builder, lanes, lanes.read(seen, place, _WORD), shown)
-                gain = lanes.read(gains, place, _WORD)  # a number would be no word before the loop
+                gain = lanes.read(gains, above, _WORD)  # a number would be no word before the loop
                 found = _high_product(builder, lanes, builder.add(rest, lanes.all(half)), gain)
                 found = builder.lshr(found, lanes.all(bits))
                 found = _at_most(builder, found, lanes.all(limit))
-                _write(builder, lanes, place, (found, rest), (made, left), ahead, limit)
+                own = lanes.read(threshold, above, _WORD) if ahead else None
+                _write(builder, lanes, place, (found, rest), (made, left), ahead, own, limit)
         return WHOLE(0)
 
-    given = rows, ahead, across, number, quotient, most, span
+    given = rows, ahead, noise, across, number, quotient, most, span, apart
     return kinds.intp(*given), generate
+
+
+def _apart(builder: Any, given: Sequence[Any], values: Sequence[Any]) -> list[Any]:
+    """Return arguments, those that are tuples as such."""
+    return [
+        cgutils.unpack_tuple(builder, each) if isinstance(kind, kinds.BaseTuple) else each
+        for each, kind in zip(values, given, strict=True)
+    ]
+
+
+def _below(builder: Any, places: Sequence[Any], rows: Sequence[Any], apart: Any) -> list[Any]:
+    """Return places in rows that lie so many words apart, row by row."""
+    first = [builder.mul(WHOLE(n), apart) for n in range(len(rows))]
+    return [builder.add(place, more) for more in first for place in places]
 
 
 @intrinsic
 def settle(
-    _: Any, rows: Any, ahead: Any, across: Any, masks: Any, number: Any, most: Any, ends: Any
+    _: Any,
+    rows: Any,
+    ahead: Any,
+    noise: Any,
+    across: Any,
+    masks: Any,
+    number: Any,
+    most: Any,
+    ends: Any,
+    apart: Any,
 ) -> Any:
     """Write P = min(max(b - sum, 0) / views, most), and what is left of b, sum taken away.
 
     The sum is that of rows that are masked. Rounded exactly, see `_quotients` of `words`: what
     views hardly see would grow from sweep to sweep otherwise, or fade. Words without a gain stay.
+    Rows of one layer that as many views see go side by side: each alone waits for its sums.
 
     Args:
-        rows: addresses of rows: P, b, what is left of b, halves, gains and powers.
+        rows: addresses of the first row: P, b, what is left of b, halves, gains and powers, which
+            are those of all.
         ahead: nothing, or what P is pushed on by, and then nothing is left of b: address of a row
-            that gets P, and where P of one sweep ago was; and the others of `push`.
+            that gets P, and where P of one sweep ago was; and the share and more of `push`.
+        noise: addresses of thresholds, as many as there are rows, or of none where nothing is
+            pushed.
         across: where the addresses of rows are that are added up.
         masks: where those of rows of masks are.
         number: of those.
         most: the largest P.
-        ends: of all rows, `EDGE` times a whole number: the words before one, and those from one on
-            to one. Both go side by side as far as the shorter one: each alone waits for its sums.
+        ends: of all rows, `WORDS` times a whole number: the words before one, and those from one on
+            to one. Both go side by side as far as the shorter one.
+        apart: words from one row to the next, of those that are added up, and of P and b.
     """
 
     def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
-        rows, ahead, *tables, number, most, ends = (
-            cgutils.unpack_tuple(builder, each) if isinstance(kind, kinds.BaseTuple) else each
-            for each, kind in zip(values, given, strict=True)
-        )
+        rows, ahead, noise, *tables, number, most, ends, apart = _apart(builder, given, values)
         made, seen, left, *quotient = rows
         limit = builder.trunc(most, _WORD)
         tables = [builder.inttoptr(each, WHOLE.as_pointer()) for each in tables]
         for lanes, places in _at_ends(builder, *ends):
-            sums = _sums(builder, lanes, places, tables, number)
-            for shown, place in zip(sums, places, strict=True):
-                light, half, gain, power, own = (
-                    lanes.read(row, place, _WORD) for row in (seen, *quotient, made)
-                )
+            below, beneath = (_below(builder, places, noise, each) for each in apart)
+            here = [(place, each) for each in noise for place in places]
+            sums = _sums(builder, lanes, [below, [each for each, _ in here]], tables, number)
+            for shown, place, (above, threshold) in zip(sums, beneath, here, strict=True):
+                light, own = (lanes.read(row, place, _WORD) for row in (seen, made))
+                half, gain, power = (lanes.read(row, above, _WORD) for row in quotient)
                 rest = _less(builder, lanes, light, shown)
                 found = _high_product(builder, lanes, builder.add(rest, half), gain)
                 is_seen = builder.icmp_unsigned("!=", gain, lanes.constant(_WORD, 0))
@@ -178,10 +230,11 @@ def settle(
                 found = builder.select(is_seen, found, kept)
                 found = _high_product(builder, lanes, found, power)
                 found = _at_most(builder, found, lanes.all(limit))
-                _write(builder, lanes, place, (found, rest), (made, left), ahead, limit)
+                own = lanes.read(threshold, above, _WORD) if ahead else None
+                _write(builder, lanes, place, (found, rest), (made, left), ahead, own, limit)
         return WHOLE(0)
 
-    given = rows, ahead, across, masks, number, most, ends
+    given = rows, ahead, noise, across, masks, number, most, ends, apart
     return kinds.intp(*given), generate
 
 
@@ -192,15 +245,8 @@ def _at_ends(builder: Any, left: Any, right: Any, end: Any) -> Any:
     before = (both,), builder.sub(left, both)
     after = (builder.add(right, both),), builder.sub(more, both)
     for begins, count in (((WHOLE(0), right), both), before, after):
-        for lanes, (place,) in side_by_side(builder, count, (1, EDGE)):
+        for lanes, (place,) in side_by_side(builder, count, _ALONE):
             yield lanes, [builder.add(begin, place) for begin in begins]
-
-
-def _within(builder: Any, span: Sequence[Any], *shapes: tuple[int, int]) -> Any:
-    """Yield lanes and places, as `side_by_side` does, from a first word on."""
-    begin, count = span
-    for lanes, places in side_by_side(builder, count, *shapes):
-        yield lanes, [builder.add(begin, place) for place in places]
 
 
 def _write(
@@ -210,14 +256,15 @@ def _write(
     found: tuple[Any, Any],
     rows: tuple[Any, Any],
     ahead: Sequence[Any],
+    threshold: Any,
     limit: Any,
 ) -> None:
     """Write P and what is left of b; or P where it was one sweep ago, and P pushed on."""
     (now, rest), (made, left) = found, rows
     if ahead:
-        ago, thresholds, factor, more = ahead
-        factor, more = (builder.trunc(each, _WORD) for each in (factor, more))
-        last, threshold = (lanes.read(row, place, _WORD) for row in (ago, thresholds))
+        ago, *both = ahead
+        factor, more = (builder.trunc(each, _WORD) for each in both)
+        last = lanes.read(ago, place, _WORD)
         lanes.write(now, ago, place)
         pushed = _pushed(builder, lanes, now, last, threshold, factor, more, limit)
         lanes.write(pushed, made, place)
@@ -238,14 +285,14 @@ def push(_: Any, rows: Any, share: Any, more: Any, most: Any, count: Any) -> Any
         share: in parts of 2^15.
         more: by which thresholds go up; beyond 2^16 they begin anew.
         most: the largest P, less than 2^14.
-        count: of words, `EDGE` times a whole number.
+        count: of words, `WORDS` times a whole number.
     """
 
     def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
         rows, *numbers, count = values
         here, ago, thresholds = cgutils.unpack_tuple(builder, rows)
         factor, shift, limit = (builder.trunc(each, _WORD) for each in numbers)
-        for lanes, (place,) in side_by_side(builder, count, *_ALONE):
+        for lanes, (place,) in side_by_side(builder, count, _ALONE):
             now, before, threshold = (
                 lanes.read(each, place, _WORD) for each in (here, ago, thresholds)
             )

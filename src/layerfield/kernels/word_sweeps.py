@@ -138,7 +138,7 @@ class _Kept(NamedTuple):
 
     Args:
         sums: `[row, layer, word]`, over rows of each layer, with zeros on both sides.
-        left: what is left of b.
+        left: `[row, word]`, what is left of b.
         pairs: `[layer, other, row]`, bytes from the first byte of a row of the other layer beneath
             one of the layer to those that this one and the next pair with, see `add_up_both`.
         found: addresses of rows.
@@ -221,7 +221,7 @@ def _settle_with(kept, room, arrays, begun, words, plan, begin, end):
                             rows = arrays.now.ctypes.data + row, arrays.ago.ctypes.data + row
                             known = (channel * number + j) * height + y
                             both = *rows, _thresholds(words, known)
-                            _push(both, share, rise, words.most, words.used)
+                            _push(both, share, rise, words.most, words.width)
                 else:
                     size = 2 * words.width
                     for j in range(number):
@@ -283,7 +283,7 @@ def _add_rows(found, room, words, place, first):
             there, here = to + n * room.rows, first + n * size
             if step > 0 and low <= one and other < high:
                 both = there, there + step * room.rows
-                _add_up_both(both, here, pair, shared, words.used)
+                _add_up_both(both, here, pair, shared, words.width)
             else:
                 _add_row(found, words, (k, j, one), there, here)
                 if other < bottom:
@@ -301,7 +301,7 @@ def _add_row(found, words, place, to, first):
             found[number] = first + words.offsets[0, k, band] * size
             number += 1
     if number > 0:
-        _add_up(to, found.ctypes.data, number, words.used)
+        _add_up(to, found.ctypes.data, number, words.width)
 
 
 @compiled
@@ -309,26 +309,48 @@ def _find_rows(arrays, room, words, place, turn):
     """Find rows of a layer, and push them on, or show them, as their turn has it.
 
     The first is the one of this number among all, and those of its layer have thresholds from
-    another number on.
+    another number on. Where all positions see them, as many as there are go side by side.
     """
     (k, top, bottom, row, known), (share, rise, is_last) = place, turn
+    is_pushed, size = share != NOT_PUSHED, 2 * words.width
+    now, ago = arrays.now.ctypes.data, arrays.ago.ctypes.data
+    target, here = arrays.target.ctypes.data, row * size
+    low, high = words.inside[0, k, 0], words.inside[0, k, 1]
+    at_once = low <= top and bottom <= high and bottom - top == TOGETHER
+    if at_once:
+        rows, first = (now + here, target + here), (k, top, 0)
+        if is_pushed:
+            ahead, noise = (ago + here, share, rise), _four_thresholds(words, known + top)
+            _find(words, room, rows, ahead, noise, first)
+        else:
+            _find(words, room, rows, (), (0, 0, 0, 0), first)
     for y in range(top, bottom):
-        here = row + y - top
-        if words.row_counts[k, y] > 0:
-            size = 2 * here * words.width
-            rows = arrays.now.ctypes.data + size, arrays.target.ctypes.data + size
-            if share == NOT_PUSHED:
-                _find(words, room, rows, (), (k, y, y - top))
+        n, there = y - top, here + (y - top) * size
+        if not at_once and words.row_counts[k, y] > 0:
+            rows = now + there, target + there
+            if is_pushed:
+                ahead, noise = (ago + there, share, rise), (_thresholds(words, known + y),)
+                _find(words, room, rows, ahead, noise, (k, y, n))
             else:
-                ago, noise = arrays.ago.ctypes.data + size, _thresholds(words, known + y)
-                _find(words, room, rows, (ago, noise, share, rise), (k, y, y - top))
+                _find(words, room, rows, (), (0,), (k, y, n))
         if is_last:
-            _show(arrays, words, room, k, y, here)
+            _show(arrays, words, room.left + n * size, k, y, row + n)
 
 
 @compiled
-def _find(words, room, here, ahead, place):
-    """Find a row that views see; see `settle`. Near its ends not all look."""
+def _four_thresholds(words, row):
+    """Return the thresholds of `TOGETHER` rows."""
+    return (
+        _thresholds(words, row),
+        _thresholds(words, row + 1),
+        _thresholds(words, row + 2),
+        _thresholds(words, row + 3),
+    )
+
+
+@compiled
+def _find(words, room, here, ahead, noise, place):
+    """Find rows that as many views see; see `settle`. Near their ends not all look."""
     (k, y, n), bands = place, words.begins[1, place[0], -1]
     count, number = words.row_counts[k, y], len(words.order)
     across, masks = room.across + 8 * (n * number + k) * room.bands, room.masks + 8 * k * room.bands
@@ -338,25 +360,29 @@ def _find(words, room, here, ahead, place):
         words.inside[1, k, 1],
     )
     halves, gains = words.halves.ctypes.data + table, words.gains.ctypes.data + table
-    rows = (*here, room.left, halves, gains, words.powers.ctypes.data + table)
-    _settle(rows, ahead, across, masks, bands, words.most, (left, right, words.used))
+    left_over = room.left + 2 * n * words.width
+    rows = (*here, left_over, halves, gains, words.powers.ctypes.data + table)
+    apart = room.rows // 2, words.width
+    ends = left, right, words.width
+    _settle(rows, ahead, noise, across, masks, bands, words.most, ends, apart)
     inner, quotient = (
-        (*here, room.left, gains),
+        (*here, left_over, gains),
         (words.inner[count, k, 0], words.inner[count, k, 1]),
     )
-    _settle_inside(inner, ahead, across, bands, quotient, words.most, (left, right - left))
+    span = left, right - left
+    _settle_inside(inner, ahead, noise, across, bands, quotient, words.most, span, apart)
 
 
 @compiled
-def _show(arrays, words, room, k, y, row):
-    """Make a picture of a row that was just found."""
+def _show(arrays, words, left, k, y, row):
+    """Make a picture of a row that was just found, by what is left of b."""
     width, count = arrays.made.shape[4], words.row_counts[k, y]
     unit = np.float32(1 / words.most)
     gain = unit / np.float32(count) if count > 0 else _ZERO
     made = arrays.made.ctypes.data + 4 * row * width
     _ask_for(made + 4 * width, 4 * width)
     here = arrays.now.ctypes.data + 2 * row * words.width
-    rows = made, words.shares.ctypes.data + 4 * k * width, room.left, here
+    rows = made, words.shares.ctypes.data + 4 * k * width, left, here
     _to_light(rows, gain, unit, width)
 
 
@@ -365,7 +391,7 @@ def _kept(words, enlargement):
     """Return memory for the rows of a turn."""
     number, bands = words.offsets.shape[1:]
     side = -(-words.reach[1] // WORDS) * WORDS
-    sums = np.zeros((TOGETHER, number, words.width + 2 * side), np.uint16)
+    sums = _aligned((TOGETHER, number, words.width + 2 * side))
     across = np.empty((TOGETHER, number, bands), np.int64)
     masks = np.empty((number, bands), np.int64)
     for k in range(number):
@@ -376,9 +402,18 @@ def _kept(words, enlargement):
                     there = row * number * sums.shape[2] + first
                     across[row, k, band] = sums.ctypes.data + 2 * there
                 masks[k, band] = words.masks.ctypes.data + 2 * (k * bands + band) * words.width
-    left, found = np.zeros(words.width, np.uint16), np.empty(bands, np.int64)
+    left, found = np.zeros((TOGETHER, words.width), np.uint16), np.empty(bands, np.int64)
     kept = sums, left, _pairs(words), found, across, masks
     return _Kept(*kept, *room_to_enlarge(enlargement))
+
+
+@compiled
+def _aligned(shape):
+    """Return words, all 0, that begin where lines of the cache do: else each vector is in two."""
+    rows, number, length = shape
+    room = np.zeros(rows * number * length + WORDS, np.uint16)
+    first = -(room.ctypes.data // 2) % WORDS
+    return room[first : first + rows * number * length].reshape(shape)
 
 
 @compiled

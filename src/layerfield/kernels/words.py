@@ -12,7 +12,6 @@ import numpy as np
 from layerfield.grid_system import Bands, GridSystem
 
 WORDS = 32  # that go side by side; rows are as long as a multiple of them
-EDGE = 16  # beside an edge; there sums have masks, and take longer
 _LARGEST, _LARGEST_LIGHT = 2**16 - 1, 2**15 - 1  # of sums, and of light that is multiplied
 _FEWEST, _MOST = 255, 2**13 - 1  # of pixels: panels show so many; sums of four have a sign
 _BITS = 16
@@ -27,7 +26,6 @@ class Words(NamedTuple):
         most: the pixel that stands for 1.
         weight: of a view.
         width: of a row of words.
-        used: words of a row, by `EDGE`, among which all pixels are.
         order: in which layers are swept.
         begins: `[direction, layer, other + 1]`, from which band to which; rows come first.
         offsets: `[direction, layer, band]`.
@@ -51,7 +49,6 @@ class Words(NamedTuple):
     most: int
     weight: float
     width: int
-    used: int
     order: np.ndarray
     begins: np.ndarray
     offsets: np.ndarray
@@ -99,7 +96,6 @@ def words_of(system: GridSystem, weight: float) -> Words | None:
         most,
         weight,
         width,
-        -(-pixels // EDGE) * EDGE,
         system.order,
         np.stack([each.begins for each in sides]),
         offsets,
@@ -174,7 +170,7 @@ def _even(views: np.ndarray) -> np.ndarray:
 
 
 def _inside(columns: Bands, width: int) -> np.ndarray:
-    """Return from which word to which all positions see columns, by `EDGE` words."""
+    """Return from which word to which all positions see columns, by `WORDS`."""
     left, right = columns.inside.T
-    begin, end = -(-left // EDGE) * EDGE, right // EDGE * EDGE
+    begin, end = -(-left // WORDS) * WORDS, right // WORDS * WORDS
     return np.stack([begin, np.where(end > begin, end, begin)], axis=1).clip(max=width)

@@ -22,7 +22,7 @@ from outputs import output_file
 
 from layerfield import Display
 from layerfield.bench.reaching import Reached, reached
-from layerfield.bench.road import EightBitViews, Panels, views_to_panels
+from layerfield.bench.road import EightBitViews, views_to_panels
 from layerfield.bench.rows import BenchRow
 from layerfield.bench.timing import timed_by_turns
 from layerfield.io import whole_file
@@ -53,10 +53,10 @@ def arrivals(path: Path) -> list[Reached]:
 def turns_of(found: list[Reached], views: EightBitViews, display: Display) -> list[dict]:
     """Return how the others stand to the first that is `fast`; none where it did not arrive."""
 
-    def runs(each: Reached, times: int = 1) -> Callable[[], list[Panels]]:
-        def run() -> list[Panels]:
-            count = each.iterations or 0
-            return [views_to_panels(views, display, each.method, count) for _ in range(times)]
+    def runs(each: Reached, times: int = 1) -> Callable[[], None]:
+        def run() -> None:
+            for _ in range(times):  # each lets its panels go, as pictures that follow each other do
+                views_to_panels(views, display, each.method, each.iterations or 0)
 
         return run
 

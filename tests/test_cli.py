@@ -190,7 +190,7 @@ def test_facts(made, original):
 def test_constants_of_steps_are_recorded_by_name(desk):
     succeed(*SYNTH, "--method", "fast", "--iterations", "2")
     swept = json.loads((desk / "out" / "result.json").read_text())["solver"]
-    assert (swept["sweeps"], swept["inner"], swept["momentum"]) == (4, 3, 0.95)
+    assert (swept["sweeps"], swept["inner"], swept["momentum"]) == (4, 6, 0.95)
     solver = swept["direct"]
     names = ["penalty", "relaxation", "trust", "kept", "momentum"]
     assert [list(each) for each in solver["full"]] == [names]

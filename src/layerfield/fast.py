@@ -49,6 +49,7 @@ _STEPS = 4  # unless told otherwise
 _SWEEPS = 2  # of an iteration, where they are quick: better than a Newton step, and sooner
 _BEFORE_WORDS = 2  # steps whose first is the only one where sweeps of words follow
 _FEW = 4  # layers; of more, what half size tells is less, and sweeps of whole size are more
+_FEW_VIEWS = 25  # 5x5
 
 
 @dataclass(frozen=True)
@@ -220,7 +221,7 @@ def solver_for(problem: Problem, count: int) -> Solver:
         return RowNewton() if problem.link.is_sum else RowGaussNewton()
     solver = steps_for(problem).solver(count)
     if isinstance(solver, LearnedAdmm) and serves_words(problem):
-        return _with_sweeps(problem.layer_count <= _FEW)
+        return _with_sweeps(problem.layer_count, len(problem.projection.shifts))
     if not isinstance(solver, FourierNewton):
         return solver
     if not takes_sweeps(problem):
@@ -231,16 +232,20 @@ def solver_for(problem: Problem, count: int) -> Solver:
 
 
 @lru_cache
-def _with_sweeps(few: bool) -> LearnedSweeps:
-    """Return what sweeps in words, given whether layers are few: behind the first step of two.
+def _with_sweeps(layers: int, views: int) -> LearnedSweeps:
+    """Return what sweeps in words, given how many layers and views there are.
 
-    However few iterations: the second would do no more than sweeps do, and cost as much as many of
-    them. First steps of more go farther, but by softer penalties: layers of a scene that moves
-    would move less alike.
+    Where half size serves not, and of more than four layers there, it begins with the first step of
+    two, however few iterations. The second would do no more than sweeps do, and cost as much as
+    many of them. First steps of more go farther, but by softer penalties: layers of a scene that
+    moves would move less alike. Of more views than 5x5 more sweeps are made at half size: without
+    the views they are soon done, beside the sum of those.
     """
     known = shipped_steps("additive").at_most(_BEFORE_WORDS).direct
     solver = LearnedSweeps(replace(known, full=known.full[:1]))
-    return solver if few else replace(solver, early=3, inner=2, outer=4)
+    if layers > _FEW:
+        return replace(solver, early=3, inner=8, outer=5, gray=0)
+    return solver if views <= _FEW_VIEWS else replace(solver, inner=12, gray=60)
 
 
 def warm_solver(problem: Problem, count: int) -> RowNewton | LearnedSweeps | WarmAdmm:

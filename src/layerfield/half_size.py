@@ -5,6 +5,7 @@ through whole pixels at half size, too, where sweeps are quick; the others would
 pixels, and what they say of layers that look alike would be blurred.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -13,12 +14,18 @@ from typing import NamedTuple
 import torch
 from jaxtyping import Float, UInt16
 from torch import Tensor
-from torch.nn.functional import conv2d, interpolate, pad
+from torch.nn.functional import conv2d, interpolate, max_pool2d, pad
 
 from layerfield.kept_views import LARGEST, KeptViews
 from layerfield.kernels.codes import codes_of
-from layerfield.kernels.compiled import serve
-from layerfield.kernels.half_words import Enlargement, HalfWords, enlargement_of
+from layerfield.kernels.compiled import is_plain, serve
+from layerfield.kernels.floors import Seen, floor_words
+from layerfield.kernels.half_words import (
+    Enlargement,
+    HalfWords,
+    enlargement_of,
+    largest_ratio,
+)
 from layerfield.kernels.halves import halved_codes, halved_views, refined
 from layerfield.problem import Problem
 from layerfield.projection import Projection
@@ -28,6 +35,10 @@ _LEAST = 32  # pixels of a view along a side; smaller ones have little of large 
 _ACROSS = 3  # views
 _LEVELS = 4096  # of light; those of bright pixels differ by less than a code
 _DARK = 1e-6  # light
+
+
+# The least that layer pixels may be: in words, or light where compiled loops do not serve.
+Floor = UInt16[Tensor, "*batch 1 layer c _ _"] | Float[Tensor, "*batch 1 layer c _ _"]
 
 
 class Half(NamedTuple):
@@ -46,12 +57,16 @@ class Half(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class HalfState(OutlivesViews):
-    """The problem at half size, what is known of it, and how many iterations were made of whole."""
+    """The problem at half size, what is known of it, and how many iterations were made of whole.
+
+    Where light adds up, `floor` is that of layers of whole size; see `floor_of`.
+    """
 
     half: Half
     problem: Problem
     state: State
     count: int = 0
+    floor: "Floor | None" = None
 
 
 def half_of(problem: Problem) -> Half | None:
@@ -111,33 +126,71 @@ def at_half_size(problem: Problem, half: Half) -> Problem:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Enlarged:
-    """Layers of half size brought to whole size, where light adds up; made when asked for.
+def floor_of(problem: Problem, half: Half, small: Problem, floor: Floor | None) -> Floor:
+    """Return the least that pixels of half size may be, where light adds up.
 
-        P = e + up(Q - e of half size),  with e the balanced start
+        floor = max(e_half - min(e - floor of whole size), 0),  of 4x4 pixels of whole size
+
+    So none of P = e + up(Q - e of half size) is below its own floor: up mixes four of half size,
+    and each looks at all pixels it is part of. How dark the darkest are says in which layers light
+    may lie. Large pixels show means alone, and where their edges lie decides how dark they are:
+    without a floor layers of a scene moved by one pixel are less alike by 5 dB.
 
     Args:
         problem: at its whole size.
         half: what it is at half size.
         small: at half size.
-        found: Q.
+        floor: of whole size, if anything but 0.
+    """
+    words, fewer = problem.constants.words, small.constants.words
+    if words is not None and fewer is not None and not is_plain():
+        whole = Seen(words, problem.back_projected_words, floor)
+        return floor_words(whole, Seen(fewer, small.back_projected_words), half.before)
+    room = problem.even_start() - (0 if floor is None else floor)
+    room = torch.where(problem.constants.even_shares > 0, room, math.inf)
+    height, width = small.layer_shape[-2:]
+    (rows, columns), (top, left) = room.shape[-2:], half.before
+    beside = 1 + left, 2 * width + 1 - left - columns, 1 + top, 2 * height + 1 - top - rows
+    planes = pad(room.flatten(0, -3)[None], beside, value=math.inf)
+    least = -max_pool2d(-planes, 4, stride=2)
+    start = small.even_start()
+    made = (start - least.view(start.shape)).clamp(min=0)
+    return torch.where(small.constants.even_shares > 0, made, 0)
+
+
+@dataclass(frozen=True, eq=False)
+class Enlarged:
+    """Layers of half size brought to whole size, where light adds up; made when asked for.
+
+        P = e up(Q / e of half size),  with e the balanced start
+
+    Args:
+        problem: at its whole size.
+        half: what it is at half size.
+        small: at half size.
+        found: Q, or None where it is known in words alone.
         found_words: Q in words, if it is known.
+        floor: the least that P may be, if anything but 0.
     """
 
     problem: Problem
     half: Half
     small: Problem
-    found: Float[Tensor, "*batch 1 layer c hy hx"]
+    found: Float[Tensor, "*batch 1 layer c hy hx"] | None
     found_words: UInt16[Tensor, "*batch 1 layer c hy words"] | None = None
+    floor: Floor | None = None
 
     @property
     def layers(self) -> Float[Tensor, "*batch 1 layer c ly lx"]:
         """P, before it is clamped."""
+        assert self.found is not None
         seen, shares = self.problem.back_projected, self.problem.constants.even_shares
         start = torch.where(shares > 0, seen * shares, self.small.even_shares[1])
-        change = self.found - self.small.even_start()
-        return start + _twice(change, self.half.before, seen.shape)
+        words, fewer = self.problem.constants.words, self.small.constants.words
+        faint = _DARK if fewer is None else 1 / fewer.most
+        ratio = (self.found + faint) / (self.small.even_start() + faint)
+        ratio = ratio.clamp(max=math.inf if words is None else largest_ratio(words))
+        return start * _twice(ratio, self.half.before, seen.shape)
 
     @property
     def words(self) -> Enlargement | None:

@@ -39,6 +39,14 @@ class Projection:
     shifts: tuple[tuple[Point, ...], ...]
     margin: tuple[int, int]
 
+    def __hash__(self) -> int:
+        """Return that of all shifts, found once: whatever is kept for a display is found by it."""
+        return self._hash
+
+    @cached_property
+    def _hash(self) -> int:
+        return hash((self.shifts, self.margin))
+
     @property
     def shifts_only(self) -> "Projection":
         """The shifts of this projection; itself, where there is nothing else."""

@@ -9,7 +9,8 @@ import math
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from functools import lru_cache
+from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -131,7 +132,8 @@ def solve(
     done = 0
     is_large = math.prod(problem.layer_shape[-2:]) >= _LARGE and problem.device.type == "cpu"
     one_by_one = watched or is_large
-    several = solver if isinstance(solver, MultiStep) and not one_by_one else None
+    makes_several = _makes_several(type(solver)) and not one_by_one
+    several = cast("MultiStep", solver) if makes_several else None
     # Where nobody looks at what is between, an accelerator is waited for once, not at every step.
     with nullcontext() if watched else clock:
         with torch.no_grad(), clock:
@@ -167,6 +169,12 @@ def solve(
     return Solution(
         layers, done, clock.seconds, status, tuple(records), solver, state, problem=problem
     )
+
+
+@lru_cache
+def _makes_several(kind: type) -> bool:
+    """Whether such a solver is a `MultiStep`; to look takes as long as a small picture's step."""
+    return issubclass(kind, MultiStep)
 
 
 def _start(problem: Problem, solver: Solver, init: Solution | Tensor | None) -> State | Tensor:

@@ -11,7 +11,8 @@ from numba.extending import intrinsic
 _BYTE = ir.IntType(8)
 _TO_READ, _DATA = 0, 1
 LINE = 64  # bytes that memory is fetched in
-FIRST, SECOND = 3, 2  # caches that it is fetched into
+FIRST, SECOND = 3, 2  # caches that it is fetched into,
+ONCE = 0  # or where it leaves no trace in those that keep what others throw out
 
 
 @intrinsic

@@ -11,7 +11,7 @@ from numba.core import cgutils
 from numba.core import types as kinds
 from numba.extending import intrinsic
 
-from layerfield.kernels.ahead import LINE, SECOND, fetch_line
+from layerfield.kernels.ahead import LINE, ONCE, fetch_line
 from layerfield.kernels.side_by_side import WHOLE, Lanes, side_by_side, summed
 
 _FLOAT = ir.FloatType()
@@ -117,10 +117,14 @@ def sum_codes(_: Any, sums: Any, codes: Any, made: Any, rows: Any, number: Any, 
 
 
 def _fetch(builder: Any, row: Any, place: Any, count: int, size: int) -> None:
-    """Have so many codes of a row fetched, from a place on, given the bytes of one."""
+    """Have so many codes of a row fetched, from a place on, given the bytes of one.
+
+    Rows of layers that follow soon look at them, and nobody after those: all codes together are
+    more than all that is made of them, and would drive it out of the last cache.
+    """
     first = builder.add(row, builder.mul(place, WHOLE(size)))
     for at in range(0, count * size, LINE):
-        fetch_line(builder, builder.add(first, WHOLE(at)), SECOND)
+        fetch_line(builder, builder.add(first, WHOLE(at)), ONCE)
 
 
 def _by_turns(builder: Any, even: Any, odd: Any) -> Any:

@@ -1,7 +1,7 @@
 """Rows of half size brought to whole size in 16-bit words: what `half_words` is made of.
 
-Numbers have a sign, and are four times less than words hold: sums of four are words, too. Numba is
-imported here; see `compiled`.
+Numbers are four times less than words hold: sums of four are words, too. Numba is imported here;
+see `compiled`.
 """
 
 from collections.abc import Sequence
@@ -68,36 +68,34 @@ def spread(_: Any, made: Any, row: Any, count: Any) -> Any:
 
 @intrinsic
 def start(_: Any, rows: Any, rest: Any, bits: Any, most: Any, count: Any) -> Any:
-    """Write min(max(shares b / 2^16 + change / 2^bits, 0), most).
+    """Write min(shares b / 2^16 ratio / 2^bits, most), rounded.
 
-    Where shares are 0, the rest takes the place of the first term. Both terms are rounded down, and
-    together up as often: one more is added, halves of what each may lose.
+    Where shares are 0, the rest takes the place of the first two.
 
     Args:
-        rows: addresses of rows: two that are written, b, shares, and change.
+        rows: addresses of rows: two that are written, b, shares, and ratios.
         rest: a word.
-        bits: of a change that stand behind its point.
+        bits: of a ratio that stand behind its point; what shares make of b has no more than they.
         most: the largest word, less than 2^15.
         count: of words, `WORDS` times a whole number.
     """
 
     def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
         rows, *numbers, count = values
-        *made, seen, shares, change = cgutils.unpack_tuple(builder, rows)
+        *made, seen, shares, ratios = cgutils.unpack_tuple(builder, rows)
         rest, bits, limit = (builder.trunc(each, _WORD) for each in numbers)
-        whole = builder.shl(_WORD(1), bits)
+        finer = builder.sub(_WORD(_BITS), bits)  # bits that e is told in, behind its point
         for lanes, (place,) in side_by_side(builder, count, _SHAPE):
-            light, share, more = (lanes.read(row, place, _WORD) for row in (seen, shares, change))
-            wide = (builder.zext(each, lanes.of(_INT)) for each in (light, share))
-            begun = builder.lshr(builder.mul(*wide), lanes.constant(_INT, _BITS))
-            begun = builder.trunc(begun, lanes.of(_WORD))
-            zero, largest = lanes.constant(_WORD, 0), lanes.all(limit)
-            is_seen = builder.icmp_unsigned("!=", share, zero)
-            begun = builder.select(is_seen, begun, lanes.all(rest))
-            more = builder.ashr(builder.add(more, lanes.all(whole)), lanes.all(bits))
-            found = builder.add(begun, more)
-            found = builder.select(builder.icmp_signed(">", found, zero), found, zero)
-            found = builder.select(builder.icmp_signed("<", found, largest), found, largest)
+            light, share, ratio = (lanes.read(row, place, _WORD) for row in (seen, shares, ratios))
+            high = builder.shl(_high_product(builder, lanes, light, share), lanes.all(finer))
+            low = builder.lshr(builder.mul(light, share), lanes.all(bits))
+            is_seen = builder.icmp_unsigned("!=", share, lanes.constant(_WORD, 0))
+            dark = lanes.all(builder.shl(rest, finer))
+            begun = builder.select(is_seen, builder.or_(high, low), dark)
+            beyond = builder.lshr(builder.mul(begun, ratio), lanes.constant(_WORD, _BITS - 1))
+            found = builder.add(_high_product(builder, lanes, begun, ratio), beyond)
+            largest = lanes.all(limit)
+            found = builder.select(builder.icmp_unsigned("<", found, largest), found, largest)
             for row in made:
                 lanes.write(found, row, place)
         return WHOLE(0)
@@ -105,7 +103,14 @@ def start(_: Any, rows: Any, rest: Any, bits: Any, most: Any, count: Any) -> Any
     return kinds.intp(rows, rest, bits, most, count), generate
 
 
+def _high_product(builder: Any, lanes: Lanes, one: Any, other: Any) -> Any:
+    """Return the product of words over 2^16, rounded down."""
+    wide = (builder.zext(each, lanes.of(_INT)) for each in (one, other))
+    whole = builder.lshr(builder.mul(*wide), lanes.constant(_INT, _BITS))
+    return builder.trunc(whole, lanes.of(_WORD))
+
+
 def _blended(builder: Any, lanes: Lanes, near: Any, far: Any) -> Any:
     three, two = lanes.constant(_WORD, 3), lanes.constant(_WORD, 2)
     total = builder.add(builder.mul(near, three), builder.add(far, two))
-    return builder.ashr(total, two)
+    return builder.lshr(total, two)

@@ -1,9 +1,10 @@
-"""Layers of half size brought to whole size in 16-bit words, where light adds up.
+"""What words of whole size begin as, where light adds up: layers of half size, brought there.
 
-    P = e + up(Q - e of half size),  with e the balanced start
+    P = e up(Q / e of half size),  with e the balanced start
 
-Row by row, right before sweeps look at them. What is in brackets is known once, as numbers finer
-than words by a few bits; up is linear interpolation of those.
+Row by row, right before sweeps look at them. What is in brackets is known once, as whole numbers of
+14 bits; up is linear interpolation of those. Without it they begin as e. What was found for gray
+is brought to all colours likewise, without up.
 """
 
 import math
@@ -16,28 +17,34 @@ from torch import Tensor
 from layerfield.kernels.compiled import compiled, native
 from layerfield.kernels.words import WORDS, Words
 
-_LARGEST = 2**13 - 1  # of numbers with a sign, sums of four of which are words
+_LARGEST = 2**14 - 1  # of numbers, sums of four of which are words
+_FINE, _COARSE = 11, 12  # bits of a ratio behind its point: up to 8 fits, or 4
 
 
 class Enlargement(NamedTuple):
-    """What words of whole size begin as, for compiled loops; see `enlargement_of`.
+    """What words begin as, for compiled loops; see `enlargement_of` and `balanced`.
 
     Args:
-        change: `[plane, hy, more]`, Q - e of half size; beyond the last column what was in memory.
-        columns: how many it has.
-        bits: of a change that stand behind the point of a word.
+        ratio: `[plane, hy, more]`, Q / e of half size, or of whole size and gray; beyond the last
+            column what was in memory.
+        columns: how many it has; none where all ratios are 1.
+        is_half: whether it is that of half size.
+        bits: of a ratio that stand behind its point.
         rest: `[item, channel]`, words of pixels that nobody sees.
         before: pixels of whole size by which those of half size begin before the others.
     """
 
-    change: np.ndarray
+    ratio: np.ndarray
     columns: int
+    is_half: bool
     bits: int
     rest: np.ndarray
     before: tuple[int, int]
 
 
-NOT_ENLARGED = Enlargement(np.zeros((0, 0, 0), np.int16), 0, 0, np.zeros((0, 0), np.int64), (0, 0))
+NOT_ENLARGED = Enlargement(
+    np.zeros((0, 0, 0), np.uint16), 0, True, 0, np.zeros((0, 0), np.int64), (0, 0)
+)
 
 
 class HalfWords(NamedTuple):
@@ -54,6 +61,17 @@ class HalfWords(NamedTuple):
     seen: UInt16[Tensor, "*batch 1 layer c hy words"]
 
 
+def balanced(words: Words, rest: Float[np.ndarray, "item c"]) -> Enlargement:
+    """Return the balanced start alone.
+
+    Args:
+        words: the normal equations.
+        rest: light of pixels that nobody sees.
+    """
+    none = np.zeros((0, 0, words.width), np.uint16)
+    return Enlargement(none, 0, True, _bits_of(words), _of(words, rest), (0, 0))
+
+
 def enlargement_of(
     words: Words, half: HalfWords, rest: Float[np.ndarray, "item c"], before: tuple[int, int]
 ) -> Enlargement:
@@ -66,52 +84,90 @@ def enlargement_of(
         rest: light of pixels that nobody sees.
         before: see `Enlargement`.
     """
-    small = half.words
-    columns = small.shares.shape[1]
+    bits = _bits_of(words)
+    ratio = _ratio_of(half, rest, bits)
+    columns = half.words.shares.shape[1]
+    return Enlargement(ratio, columns, True, bits, _of(words, rest), before)
+
+
+def coloured(gray: HalfWords, rest: Float[np.ndarray, "item c"]) -> Enlargement:
+    """Return what brings gray layers to all colours.
+
+    Args:
+        gray: what is known of them.
+        rest: light of pixels that nobody sees, of every colour.
+    """
+    words = gray.words
+    bits, mean = _bits_of(words), rest.mean(axis=1, keepdims=True)
+    ratio = _ratio_of(gray, mean, bits)
+    return Enlargement(ratio, words.shares.shape[1], False, bits, _of(words, rest), (0, 0))
+
+
+def _ratio_of(
+    known: HalfWords, rest: Float[np.ndarray, "item c"], bits: int
+) -> UInt16[np.ndarray, "plane y more"]:
+    """Return Q / e with so many bits behind the point."""
+    words = known.words
+    columns = words.shares.shape[1]
     found, seen = (
-        each.contiguous().view(-1, *each.shape[-4:]).numpy() for each in (half.found, half.seen)
+        each.contiguous().view(-1, *each.shape[-4:]).numpy() for each in (known.found, known.seen)
     )
-    change = np.empty((*found.shape[:-1], -(-columns // WORDS) * WORDS), np.int16)
-    bits = int(np.log2(_LARGEST // words.most))
-    unit, own = (
-        np.float32((words.most << bits) / small.most),
-        (rest * small.most).astype(np.float32),
-    )
-    given = change, found, seen, own, unit, small.even, small.row_counts, columns
-    _take_away.in_spans(*given, count=math.prod(found.shape[:-1]), numbers=found.size)
-    planes = change.reshape(-1, *change.shape[-2:])
-    own = np.rint(rest * words.most).astype(np.int64)
-    return Enlargement(planes, columns, bits, own, before)
+    ratio = np.empty((*found.shape[:-1], -(-columns // WORDS) * WORDS), np.uint16)
+    dark, unit = (rest * words.most).astype(np.float32), np.float32(1 << bits)
+    given = ratio, found, seen, dark, unit, words.even, words.row_counts, columns
+    _divide.in_spans(*given, count=math.prod(found.shape[:-1]), numbers=found.size)
+    return ratio.reshape(-1, *ratio.shape[-2:])
+
+
+def largest_ratio(words: Words) -> float:
+    """Return what no ratio of layers of that whole size goes beyond."""
+    return _LARGEST / (1 << _bits_of(words))
+
+
+def _bits_of(words: Words) -> int:
+    """Return as many as leave all of 16 that tell e as finely as it goes."""
+    most = words.most / len(words.order)  # of e
+    return _FINE if most < 1 << _FINE else _COARSE
+
+
+def _of(words: Words, light: Float[np.ndarray, "item c"]) -> np.ndarray:
+    """Return words of light."""
+    return np.rint(light * words.most).astype(np.int64)
 
 
 _blend = native("layerfield.kernels.half_lanes", "blend")
 _spread = native("layerfield.kernels.half_lanes", "spread")
 _start = native("layerfield.kernels.half_lanes", "start")
-_HALF, _PART = np.float32(0.5), np.float32(2**-16)
+_ONE, _HALF, _PART = np.float32(1), np.float32(0.5), np.float32(2**-16)
+_MOST = np.float32(_LARGEST)
 
 
 @compiled
-def _take_away(change, found, seen, rest, unit, even, row_counts, columns, begin, end):
-    """Rows of all planes, one after the other, from and to."""
+def _divide(ratio, found, seen, rest, unit, even, row_counts, columns, begin, end):
+    """Rows of all planes, one after the other, from and to; of words, 1 more each: none is 0."""
     number, channels, rows = found.shape[1:4]
     for n in range(begin, end):
         plane, y = divmod(n, rows)
         both, channel = divmod(plane, channels)
         item, layer = divmod(both, number)
-        to, own = change[item, layer, channel, y], found[item, layer, channel, y]
+        to, own = ratio[item, layer, channel, y], found[item, layer, channel, y]
         light = seen[item, layer, channel, y]
         shares, dark = even[row_counts[layer, y], layer], rest[item, channel]
         for x in range(columns):
             share = _PART * np.float32(shares[x])
             start = share * np.float32(light[x]) if shares[x] > 0 else dark
-            to[x] = np.int16(np.floor(unit * (np.float32(own[x]) - start) + _HALF))
+            part = unit * (np.float32(own[x]) + _ONE) / (start + _ONE)
+            to[x] = np.uint16(min(part + _HALF, _MOST))
 
 
 @compiled
 def room_to_enlarge(given):
     """Return what `enlarge_row` writes on."""
-    length = given.change.shape[2]
-    return np.zeros(length + 2 * WORDS, np.int16), np.zeros(2 * length + WORDS, np.int16)
+    length = given.ratio.shape[2]
+    wide = np.empty(2 * length + WORDS, np.uint16)
+    for x in range(len(wide)):
+        wide[x] = 1 << given.bits
+    return np.zeros(length + 2 * WORDS, np.uint16), wide
 
 
 @compiled
@@ -128,18 +184,21 @@ def enlarge_row(rows, given, words, place, beside, wide):
     """
     item, layer, channel, y = place
     number, channels = words.row_counts.shape[0], given.rest.shape[1]
-    plane = (item * number + layer) * channels + channel
-    height, length = given.change.shape[1:]
-    here, below = divmod(y + given.before[0], 2)
-    other = min(max(here + 2 * below - 1, 0), height - 1)
-    first, size = given.change.ctypes.data, 2 * length
-    near, far = first + (plane * height + here) * size, first + (plane * height + other) * size
-    _blend(beside.ctypes.data + 2 * WORDS, near, far, length)
-    end = WORDS + given.columns
-    beside[WORDS - 1], beside[end] = beside[WORDS], beside[end - 1]
-    _spread(wide.ctypes.data, beside.ctypes.data + 2 * WORDS, length)
+    height, length = given.ratio.shape[1:]
+    first, size = given.ratio.ctypes.data, 2 * length
+    ratio = wide.ctypes.data + 2 * given.before[1]
+    if given.columns > 0 and given.is_half:
+        plane = (item * number + layer) * channels + channel
+        here, below = divmod(y + given.before[0], 2)
+        other = min(max(here + 2 * below - 1, 0), height - 1)
+        near, far = first + (plane * height + here) * size, first + (plane * height + other) * size
+        _blend(beside.ctypes.data + 2 * WORDS, near, far, length)
+        end = WORDS + given.columns
+        beside[WORDS - 1], beside[end] = beside[WORDS], beside[end - 1]
+        _spread(wide.ctypes.data, beside.ctypes.data + 2 * WORDS, length)
+    elif given.columns > 0:
+        ratio = first + ((item * number + layer) * height + y) * size
     count = words.row_counts[layer, y]
     shares = words.even.ctypes.data + 2 * (count * number + layer) * words.width
-    change = wide.ctypes.data + 2 * given.before[1]
     rest = given.rest[item, channel]
-    _start((*rows, shares, change), rest, given.bits, words.most, words.width)
+    _start((*rows, shares, ratio), rest, given.bits, words.most, words.width)

@@ -13,7 +13,7 @@ import numpy as np
 
 from layerfield.kernels.compiled import compiled
 
-_ROWS = 64  # of a part, at the least
+_ROWS, _OF_ONE = 64, 40  # of a part, at the least, and where there is a single plane
 TOGETHER = 4  # rows of a turn: they look at the same rows of other layers, which are at hand then
 
 
@@ -31,7 +31,8 @@ def parts_of(planes: int, height: int, reach: int, passes: int) -> tuple[np.ndar
         `[part, 5]`: which plane, from which row and to which, and by how many rows both move with
         every pass; and `[part]`.
     """
-    count = max(1, height // max(_ROWS, 2 * reach * passes))
+    least = _ROWS if planes > 1 else _OF_ONE
+    count = max(1, height // max(least, 2 * reach * passes))
     ends = [height * n // count for n in range(count + 1)]
     shrinking = [
         (plane, top, bottom, reach * (top > 0), -reach * (bottom < height))

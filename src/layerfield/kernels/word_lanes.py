@@ -124,7 +124,7 @@ def settle_inside(
     """Do what `settle` does where every view looks.
 
     Args:
-        rows: addresses of rows: P, b, what is left of b, and gains.
+        rows: addresses of rows: P, b, what is left of b, the least P, and gains.
         ahead: as `settle` has it.
         noise: likewise.
         across: likewise.
@@ -136,26 +136,29 @@ def settle_inside(
     """
 
     def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
-        (made, seen, left, gains), ahead, noise, across, number, quotient, most, span, apart = (
-            _apart(builder, given, values)
+        rows, ahead, noise, across, number, quotient, most, span, apart = _apart(
+            builder, given, values
         )
+        made, seen, left, floor, gains = rows
         half, bits, limit = (builder.trunc(each, _WORD) for each in (*quotient, most))
         table = builder.inttoptr(across, WHOLE.as_pointer())
         begin, count = span
         shapes = _ADDED if len(noise) == 1 else (_ALONE,)
         for lanes, steps in side_by_side(builder, count, *shapes):
             places = [builder.add(begin, step) for step in steps]
-            below, beneath = (_below(builder, places, noise, each) for each in apart)
+            below, beneath, lowest = (_below(builder, places, noise, each) for each in apart)
             sums = _sums(builder, lanes, [below], [table], number)
             here = [(place, each) for each in noise for place in places]
-            for shown, place, (above, threshold) in zip(sums, beneath, here, strict=True):
+            every = zip(sums, beneath, lowest, here, strict=True)
+            for shown, place, low, (above, threshold) in every:
                 rest = _less(builder, lanes, lanes.read(seen, place, _WORD), shown)
                 gain = lanes.read(gains, above, _WORD)  # a number would be no word before the loop
                 found = _high_product(builder, lanes, builder.add(rest, lanes.all(half)), gain)
                 found = builder.lshr(found, lanes.all(bits))
-                found = _at_most(builder, found, lanes.all(limit))
+                bounds = lanes.read(floor, low, _WORD), lanes.all(limit)
+                found = _within(builder, found, bounds)
                 own = lanes.read(threshold, above, _WORD) if ahead else None
-                _write(builder, lanes, place, (found, rest), (made, left), ahead, own, limit)
+                _write(builder, lanes, place, (found, rest), (made, left), ahead, own, bounds)
         return WHOLE(0)
 
     given = rows, ahead, noise, across, number, quotient, most, span, apart
@@ -189,15 +192,15 @@ def settle(
     ends: Any,
     apart: Any,
 ) -> Any:
-    """Write P = min(max(b - sum, 0) / views, most), and what is left of b, sum taken away.
+    """Write P = min(max((b - sum) / views, least), most), and what is left of b, sum taken away.
 
     The sum is that of rows that are masked. Rounded exactly, see `_quotients` of `words`: what
     views hardly see would grow from sweep to sweep otherwise, or fade. Words without a gain stay.
     Rows of one layer that as many views see go side by side: each alone waits for its sums.
 
     Args:
-        rows: addresses of the first row: P, b, what is left of b, halves, gains and powers, which
-            are those of all.
+        rows: addresses of the first row: P, b, what is left of b, the least P, and halves, gains
+            and powers, which are those of all.
         ahead: nothing, or what P is pushed on by, and then nothing is left of b: address of a row
             that gets P, and where P of one sweep ago was; and the share and more of `push`.
         noise: addresses of thresholds, as many as there are rows, or of none where nothing is
@@ -208,19 +211,21 @@ def settle(
         most: the largest P.
         ends: of all rows, `WORDS` times a whole number: the words before one, and those from one on
             to one. Both go side by side as far as the shorter one.
-        apart: words from one row to the next, of those that are added up, and of P and b.
+        apart: words from one row to the next, of those that are added up, of P and b, and of the
+            least P.
     """
 
     def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
         rows, ahead, noise, *tables, number, most, ends, apart = _apart(builder, given, values)
-        made, seen, left, *quotient = rows
+        made, seen, left, floor, *quotient = rows
         limit = builder.trunc(most, _WORD)
         tables = [builder.inttoptr(each, WHOLE.as_pointer()) for each in tables]
         for lanes, places in _at_ends(builder, *ends):
-            below, beneath = (_below(builder, places, noise, each) for each in apart)
+            below, beneath, lowest = (_below(builder, places, noise, each) for each in apart)
             here = [(place, each) for each in noise for place in places]
             sums = _sums(builder, lanes, [below, [each for each, _ in here]], tables, number)
-            for shown, place, (above, threshold) in zip(sums, beneath, here, strict=True):
+            every = zip(sums, beneath, lowest, here, strict=True)
+            for shown, place, low, (above, threshold) in every:
                 light, own = (lanes.read(row, place, _WORD) for row in (seen, made))
                 half, gain, power = (lanes.read(row, above, _WORD) for row in quotient)
                 rest = _less(builder, lanes, light, shown)
@@ -229,9 +234,10 @@ def settle(
                 kept = builder.add(own, lanes.constant(_WORD, 1))  # as if multiplied once
                 found = builder.select(is_seen, found, kept)
                 found = _high_product(builder, lanes, found, power)
-                found = _at_most(builder, found, lanes.all(limit))
+                bounds = lanes.read(floor, low, _WORD), lanes.all(limit)
+                found = _within(builder, found, bounds)
                 own = lanes.read(threshold, above, _WORD) if ahead else None
-                _write(builder, lanes, place, (found, rest), (made, left), ahead, own, limit)
+                _write(builder, lanes, place, (found, rest), (made, left), ahead, own, bounds)
         return WHOLE(0)
 
     given = rows, ahead, noise, across, masks, number, most, ends, apart
@@ -257,7 +263,7 @@ def _write(
     rows: tuple[Any, Any],
     ahead: Sequence[Any],
     threshold: Any,
-    limit: Any,
+    bounds: tuple[Any, Any],
 ) -> None:
     """Write P and what is left of b; or P where it was one sweep ago, and P pushed on."""
     (now, rest), (made, left) = found, rows
@@ -266,7 +272,7 @@ def _write(
         factor, more = (builder.trunc(each, _WORD) for each in both)
         last = lanes.read(ago, place, _WORD)
         lanes.write(now, ago, place)
-        pushed = _pushed(builder, lanes, now, last, threshold, factor, more, limit)
+        pushed = _pushed(builder, lanes, now, last, threshold, factor, more, bounds)
         lanes.write(pushed, made, place)
     else:
         lanes.write(rest, left, place)
@@ -275,13 +281,13 @@ def _write(
 
 @intrinsic
 def push(_: Any, rows: Any, share: Any, more: Any, most: Any, count: Any) -> Any:
-    """Write P <- min(max(P + share (P - last P), 0), most), and last P <- P of before.
+    """Write P <- min(max(P + share (P - last P), least), most), and last P <- P of before.
 
     What is added is rounded up as often as what lies beyond its whole part says: where it is above
     a threshold. Rounded to the nearest, the last 1 of a change would be pushed on forever.
 
     Args:
-        rows: addresses of rows: P, P of one sweep ago, and thresholds, all words.
+        rows: addresses of rows: P, P of one sweep ago, the least P, and thresholds, all words.
         share: in parts of 2^15.
         more: by which thresholds go up; beyond 2^16 they begin anew.
         most: the largest P, less than 2^14.
@@ -290,14 +296,15 @@ def push(_: Any, rows: Any, share: Any, more: Any, most: Any, count: Any) -> Any
 
     def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
         rows, *numbers, count = values
-        here, ago, thresholds = cgutils.unpack_tuple(builder, rows)
+        here, ago, floor, thresholds = cgutils.unpack_tuple(builder, rows)
         factor, shift, limit = (builder.trunc(each, _WORD) for each in numbers)
         for lanes, (place,) in side_by_side(builder, count, _ALONE):
-            now, before, threshold = (
-                lanes.read(each, place, _WORD) for each in (here, ago, thresholds)
+            now, before, low, threshold = (
+                lanes.read(each, place, _WORD) for each in (here, ago, floor, thresholds)
             )
             lanes.write(now, ago, place)
-            found = _pushed(builder, lanes, now, before, threshold, factor, shift, limit)
+            bounds = low, lanes.all(limit)
+            found = _pushed(builder, lanes, now, before, threshold, factor, shift, bounds)
             lanes.write(found, here, place)
         return WHOLE(0)
 
@@ -312,16 +319,16 @@ def _pushed(
     threshold: Any,
     factor: Any,
     shift: Any,
-    limit: Any,
+    bounds: tuple[Any, Any],
 ) -> Any:
     """Return words that are pushed on, see `push`."""
-    zero, largest = lanes.constant(_WORD, 0), lanes.all(limit)
+    least, most = bounds
     change = builder.shl(builder.sub(now, before), lanes.constant(_WORD, 1))
     whole, beyond = _product(builder, lanes, change, lanes.all(factor))
     is_up = builder.icmp_unsigned(">", beyond, builder.add(threshold, lanes.all(shift)))
     found = builder.add(now, builder.add(whole, builder.zext(is_up, lanes.of(_WORD))))
-    found = builder.select(builder.icmp_signed(">", found, zero), found, zero)
-    return builder.select(builder.icmp_signed("<", found, largest), found, largest)
+    found = builder.select(builder.icmp_signed(">", found, least), found, least)
+    return builder.select(builder.icmp_signed("<", found, most), found, most)
 
 
 @intrinsic
@@ -389,9 +396,11 @@ def _less(builder: Any, lanes: Lanes, one: Any, other: Any) -> Any:
     return builder.select(more, builder.sub(one, other), lanes.constant(_WORD, 0))
 
 
-def _at_most(builder: Any, one: Any, other: Any) -> Any:
-    """Return the lesser of words without a sign."""
-    return builder.select(builder.icmp_unsigned("<", one, other), one, other)
+def _within(builder: Any, one: Any, bounds: tuple[Any, Any]) -> Any:
+    """Return words without a sign, between others."""
+    least, most = bounds
+    found = builder.select(builder.icmp_unsigned("<", one, most), one, most)
+    return builder.select(builder.icmp_unsigned(">", found, least), found, least)
 
 
 def _high_product(builder: Any, lanes: Lanes, one: Any, other: Any) -> Any:

@@ -54,7 +54,8 @@ def swept(
     begun: Layers | LayerWords | Enlargement,
     pushes: Sequence[float],
     made: int = 0,
-) -> tuple[Layers, LayerWords]:
+    floor: UInt16[Tensor, "*batch 1 layer c ly words"] | None = None,
+) -> tuple[Layers | None, LayerWords]:
     """Return layers after sweeps, pixels from 0 to 1, and in words.
 
     Every sweep begins at clamp(P + push (P - P of one sweep ago)).
@@ -66,6 +67,8 @@ def swept(
             what rows of those are made of.
         pushes: of sweeps, less than 1; the first of layers that are no words yet is 0.
         made: sweeps made before: each rounds in a way of its own.
+        floor: the least that pixels may be, in words, 0 where no view sees them. Words are all
+            that is returned then: who tells one does not show layers. None for 0.
 
     Raises:
         ValueError: layers of another shape than those of the equations.
@@ -73,31 +76,33 @@ def swept(
     number, height = words.row_counts.shape
     channels, pixels = seen.shape[-3], words.shares.shape[1]
     expected, size = (1, number, channels, height, pixels), (*seen.shape[:-1], pixels)
-    layers = torch.empty(size, dtype=torch.float32)
+    shows = floor is None
+    layers = torch.empty(size if shows else (0, *size[1:]), dtype=torch.float32)
     is_new = not isinstance(begun, LayerWords)
     source = begun if isinstance(begun, Tensor) else layers
-    fits = source.shape == size and source.stride(-1) == 1
+    found = source.shape if source is begun else size
     is_of_words = seen.is_contiguous() and seen.shape[-1] == words.width
-    if size[-5:] != expected or not fits or not is_of_words:
-        raise ValueError(f"found layers of shape {tuple(source.shape)}, expected {expected}")
+    is_in_rows = source is not begun or source.stride(-1) == 1
+    if size[-5:] != expected or found != size or not is_in_rows or not is_of_words:
+        raise ValueError(f"found layers of shape {tuple(found)}, expected {expected}")
     now, ago = (
         (torch.empty_like(seen), torch.empty_like(seen))
         if is_new
         else (begun.now.clone(), begun.ago.clone())
     )
-    given = layers, now, ago, seen
-    arrays = _Arrays(*(each.detach().flatten(end_dim=-5).numpy() for each in given))
+    given = layers, now, ago, seen, seen[:0] if floor is None else floor
+    arrays = _Arrays(*(each.numpy().reshape(-1, *each.shape[-4:]) for each in given))
     planes_of = source.detach().flatten(end_dim=-5).numpy()  # not to be let go before the end
     place = _Place(planes_of.ctypes.data, *planes_of.strides[:4])
     is_enlarged = isinstance(begun, Enlargement)
     loads = (ENLARGED if is_enlarged else GIVEN) if is_new else None
-    planes = len(arrays.made) * channels, height, int(words.reach[0])
-    plan = turns_of(planes, tuple(words.order.tolist()), loads, tuple(pushes), made)
-    numbers, count = len(plan.turns) * layers.numel(), len(plan.parts)
+    planes, order = (len(arrays.now) * channels, height, int(words.reach[0])), words.order
+    plan = turns_of(planes, tuple(order.tolist()), loads, tuple(pushes), made, shows=shows)
+    numbers, count = len(plan.turns) * seen.numel(), len(plan.parts)
     enlargement = begun if is_enlarged else NOT_ENLARGED
     given = arrays, (place, enlargement), words, plan
     _settle_parts.in_spans(*given, count=count, numbers=numbers, needs=plan.needs)
-    return layers, LayerWords(now, ago)
+    return layers if shows else None, LayerWords(now, ago)
 
 
 _ZERO = np.float32(0)
@@ -112,12 +117,13 @@ _to_light = native("layerfield.kernels.word_lanes", "to_light")
 
 
 class _Arrays(NamedTuple):
-    """`[n, layer, c, y, x]`: what is made; in words P, P of one sweep ago, and b."""
+    """`[n, layer, c, y, x]`: what is made; in words P, P of one sweep ago, b, and the least P."""
 
     made: np.ndarray
     now: np.ndarray
     ago: np.ndarray
     target: np.ndarray
+    floor: np.ndarray
 
 
 class _Place(NamedTuple):
@@ -144,6 +150,7 @@ class _Kept(NamedTuple):
         found: addresses of rows.
         across: `[row, layer, band]`, those of sums, moved as views have it.
         masks: `[layer, band]`, those of masks.
+        floor: a row of zeros, the least P where none is told.
         beside: see `room_to_enlarge`.
         wide: likewise.
     """
@@ -154,6 +161,7 @@ class _Kept(NamedTuple):
     found: np.ndarray
     across: np.ndarray
     masks: np.ndarray
+    floor: np.ndarray
     beside: np.ndarray
     wide: np.ndarray
 
@@ -171,6 +179,8 @@ class _Room(NamedTuple):
         across: address.
         masks: likewise.
         bands: of a layer in both.
+        floor: address of the first row.
+        apart: words from there to the next one.
     """
 
     sums: int
@@ -182,13 +192,15 @@ class _Room(NamedTuple):
     across: int
     masks: int
     bands: int
+    floor: int
+    apart: int
 
 
 @compiled
 def _settle_parts(arrays, begun, words, plan, begin, end):
     """Parts from and to, turn by turn; see `Turns`."""
     kept = _kept(words, begun[1])
-    _settle_with(kept, _room(words, kept), arrays, begun, words, plan, begin, end)
+    _settle_with(kept, _room(words, kept, arrays), arrays, begun, words, plan, begin, end)
 
 
 @compiled
@@ -197,7 +209,7 @@ def _settle_with(kept, room, arrays, begun, words, plan, begin, end):
 
     Turns make words of layers, push words on, or find a layer, the last ones as a picture, too.
     """
-    (number, channels, height), (turns, are_before, which, parts, _) = arrays.made.shape[1:4], plan
+    (number, channels, height), (turns, are_before, which, parts, _) = arrays.now.shape[1:4], plan
     reach, layer = words.reach[0], channels * height
     for part in range(begin, end):
         item, channel = divmod(parts[part, 0], channels)
@@ -217,11 +229,13 @@ def _settle_with(kept, room, arrays, begun, words, plan, begin, end):
                     for y in range(top, bottom):
                         for other in range(1, number):  # the first is found before it is seen
                             j = words.order[other]
-                            row = 2 * (above + y + j * layer) * words.width
-                            rows = arrays.now.ctypes.data + row, arrays.ago.ctypes.data + row
+                            row = above + y + j * layer
+                            here = 2 * row * words.width
+                            rows = arrays.now.ctypes.data + here, arrays.ago.ctypes.data + here
+                            least = room.floor + 2 * row * room.apart
                             known = (channel * number + j) * height + y
-                            both = *rows, _thresholds(words, known)
-                            _push(both, share, rise, words.most, words.width)
+                            every = *rows, least, _thresholds(words, known)
+                            _push(every, share, rise, words.most, words.width)
                 else:
                     size = 2 * words.width
                     for j in range(number):
@@ -237,7 +251,7 @@ def _settle_with(kept, room, arrays, begun, words, plan, begin, end):
 @compiled
 def _begin(kept, arrays, begun, words, place, row, kind):
     """Make words of a row, and have the next one fetched: it is read, and written on."""
-    size, width = 2 * words.width, arrays.made.shape[4]
+    size, width = 2 * words.width, words.shares.shape[1]
     for each in (arrays.target, arrays.now, arrays.ago):
         _ask_for(each.ctypes.data + (row + 1) * size, size)
     here = 2 * row * words.width
@@ -318,7 +332,7 @@ def _find_rows(arrays, room, words, place, turn):
     low, high = words.inside[0, k, 0], words.inside[0, k, 1]
     at_once = low <= top and bottom <= high and bottom - top == TOGETHER
     if at_once:
-        rows, first = (now + here, target + here), (k, top, 0)
+        rows, first = (now + here, target + here, room.floor + 2 * row * room.apart), (k, top, 0)
         if is_pushed:
             ahead, noise = (ago + here, share, rise), _four_thresholds(words, known + top)
             _find(words, room, rows, ahead, noise, first)
@@ -327,7 +341,7 @@ def _find_rows(arrays, room, words, place, turn):
     for y in range(top, bottom):
         n, there = y - top, here + (y - top) * size
         if not at_once and words.row_counts[k, y] > 0:
-            rows = now + there, target + there
+            rows = now + there, target + there, room.floor + 2 * (row + n) * room.apart
             if is_pushed:
                 ahead, noise = (ago + there, share, rise), (_thresholds(words, known + y),)
                 _find(words, room, rows, ahead, noise, (k, y, n))
@@ -361,12 +375,13 @@ def _find(words, room, here, ahead, noise, place):
     )
     halves, gains = words.halves.ctypes.data + table, words.gains.ctypes.data + table
     left_over = room.left + 2 * n * words.width
-    rows = (*here, left_over, halves, gains, words.powers.ctypes.data + table)
-    apart = room.rows // 2, words.width
+    found, seen, floor = here
+    rows = found, seen, left_over, floor, halves, gains, words.powers.ctypes.data + table
+    apart = room.rows // 2, words.width, room.apart
     ends = left, right, words.width
     _settle(rows, ahead, noise, across, masks, bands, words.most, ends, apart)
     inner, quotient = (
-        (*here, left_over, gains),
+        (found, seen, left_over, floor, gains),
         (words.inner[count, k, 0], words.inner[count, k, 1]),
     )
     span = left, right - left
@@ -376,7 +391,7 @@ def _find(words, room, here, ahead, noise, place):
 @compiled
 def _show(arrays, words, left, k, y, row):
     """Make a picture of a row that was just found, by what is left of b."""
-    width, count = arrays.made.shape[4], words.row_counts[k, y]
+    width, count = words.shares.shape[1], words.row_counts[k, y]
     unit = np.float32(1 / words.most)
     gain = unit / np.float32(count) if count > 0 else _ZERO
     made = arrays.made.ctypes.data + 4 * row * width
@@ -403,7 +418,7 @@ def _kept(words, enlargement):
                     across[row, k, band] = sums.ctypes.data + 2 * there
                 masks[k, band] = words.masks.ctypes.data + 2 * (k * bands + band) * words.width
     left, found = np.zeros((TOGETHER, words.width), np.uint16), np.empty(bands, np.int64)
-    kept = sums, left, _pairs(words), found, across, masks
+    kept = sums, left, _pairs(words), found, across, masks, np.zeros(words.width, np.uint16)
     return _Kept(*kept, *room_to_enlarge(enlargement))
 
 
@@ -433,11 +448,14 @@ def _pairs(words):
 
 
 @compiled
-def _room(words, kept):
-    """Return where that memory is."""
+def _room(words, kept, arrays):
+    """Return where that memory is, and the least P."""
     layers = 2 * kept.sums.shape[2]
     rows = layers * kept.sums.shape[1]
     first = kept.sums.ctypes.data + (layers - 2 * words.width) // 2
     pairs = kept.pairs.ctypes.data, kept.pairs.shape[2]
     tables = kept.across.ctypes.data, kept.masks.ctypes.data, kept.across.shape[2]
-    return _Room(first, layers, rows, kept.left.ctypes.data, *pairs, *tables)
+    floor = kept.floor.ctypes.data, 0
+    if arrays.floor.size > 0:
+        floor = arrays.floor.ctypes.data, words.width
+    return _Room(first, layers, rows, kept.left.ctypes.data, *pairs, *tables, *floor)

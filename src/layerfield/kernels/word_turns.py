@@ -12,7 +12,7 @@ GIVEN, ENLARGED = 0, 1  # what is loaded
 NOT_PUSHED = -1
 STRIDE = 40503  # golden section of 2^16: any number of sweeps round up evenly
 _ONE = 2**15  # what shares are parts of
-_AT_ONCE = 4  # sweeps: of more, parts would be few
+_AT_ONCE, _OF_ONE = 4, 3  # sweeps, and of a single plane: of more, parts would be few
 
 
 class Turns(NamedTuple):
@@ -45,6 +45,8 @@ def turns_of(
     loads: int | None,
     pushes: tuple[float, ...],
     made: int,
+    *,
+    shows: bool = True,
 ) -> Turns:
     """Return the turns of sweeps, a few at once and then the next.
 
@@ -54,6 +56,7 @@ def turns_of(
         loads: what is loaded, where there are no words.
         pushes: of sweeps, each before it; the first has none where something is loaded.
         made: sweeps made before.
+        shows: whether a picture is made in the end.
     """
     shares = [round(push * _ONE) for push in pushes] + [NOT_PUSHED]
     rises = [(made + n) * STRIDE % 2**16 for n in range(len(shares))]
@@ -61,12 +64,13 @@ def turns_of(
     seen = [(False,) * len(order)]
     which, parts, needs = [], [], []
     begin = 0
-    for first in range(0, len(pushes), _AT_ONCE):
-        for n in range(first + 1, min(first + _AT_ONCE, len(pushes)) + 1):
+    at_once = _AT_ONCE if planes[0] > 1 else _OF_ONE
+    for first in range(0, len(pushes), at_once):
+        for n in range(first + 1, min(first + at_once, len(pushes)) + 1):
             is_last = n == len(pushes)
             for place, k in enumerate(order):
                 share = shares[n] if place > 0 else NOT_PUSHED
-                turns.append((k, share, rises[n], int(is_last)))
+                turns.append((k, share, rises[n], int(is_last and shows)))
                 pushed = () if is_last else order[1:place]
                 seen.append(tuple(j in pushed for j in range(len(order))))
         before, count = sum(map(len, parts)), len(turns) - begin

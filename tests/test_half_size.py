@@ -9,10 +9,11 @@ import torch
 from layerfield import Display, Problem, procedural_light_field, solve, synthesize
 from layerfield.display_spec import parse_spec
 from layerfield.fast import solver_for
-from layerfield.half_size import Enlarged, HalfState, at_half_size, half_of
+from layerfield.half_size import Enlarged, HalfState, at_half_size, floor_of, half_of
 from layerfield.kept_views import KeptViews
 from layerfield.kernels import word_sweeps
 from layerfield.kernels.compiled import plain
+from layerfield.kernels.gray_words import gray_words
 from layerfield.solvers.learned_sweeps import LearnedSweeps
 from layerfield.synthesizer import pose
 
@@ -134,6 +135,45 @@ def test_layers_of_half_size_lie_where_those_of_whole_size_do(text, size):
     raised = Enlarged(problem, half, small, 9 * known * small.even_start()).layers
     inside = (raised / problem.even_start() - 9 * layers)[..., 3:-3, 3:-3]
     torch.testing.assert_close(inside, torch.zeros_like(inside), atol=2e-3, rtol=0)
+
+
+@pytest.mark.parametrize("is_on_floor", [False, True])
+@pytest.mark.parametrize(
+    "text",
+    ["views = [5, 5]\ndisparity = [1, 0, -1]", "views = [7, 7]\ndisparity = [1, 0]"],
+)
+def test_no_pixel_of_whole_size_is_below_its_floor(text, is_on_floor):
+    """Even if all of half size that are seen are as dark as they may be, wherever they begin."""
+    shown = display(text)
+    views = (noise(2, shown.view_count, 3, 65, 97) ** 3 * 255).to(torch.uint8)
+    problem = Problem.of(shown, views)
+    half, words = half_of(problem), problem.constants.words
+    assert half is not None
+    assert words is not None
+    small, start = at_half_size(problem, half), problem.even_start()
+    light = 0.3 * start if is_on_floor else torch.zeros_like(start)
+    given = torch.zeros(*light.shape[:-1], words.width, dtype=torch.int32)
+    given[..., : light.shape[-1]] = (light * words.most).int()
+    found = floor_of(problem, half, small, given.to(torch.uint16) if is_on_floor else None)
+    with plain():
+        floor = floor_of(problem, half, small, light if is_on_floor else None)
+    fewer = small.constants.words
+    assert fewer is not None
+    known = found[..., : floor.shape[-1]].float() / fewer.most
+    torch.testing.assert_close(known, floor, atol=3 / words.most, rtol=0)
+    change = (floor - small.even_start()).flatten(0, -4)
+    wide = torch.nn.functional.interpolate(change, scale_factor=2, mode="bilinear")
+    (top, left), (height, width) = half.before, start.shape[-2:]
+    wide = wide[..., top : top + height, left : left + width].reshape(start.shape)
+    assert (start + wide - light)[..., 7:-7, 7:-7].min() > -1e-6
+    assert floor.mean() > 0.1 * start.mean()
+
+
+def test_gray_is_the_mean_of_all_colours():
+    colours = (noise(2, 1, 3, 4, 5, 32) * (2**15 - 1)).long()
+    found = gray_words(colours.to(torch.uint16)).long()
+    expected = colours.sum(dim=-3, keepdim=True) // 4
+    torch.testing.assert_close(found, expected, atol=1, rtol=0)
 
 
 @pytest.mark.parametrize("views", [5, 9])

@@ -12,7 +12,7 @@ SIZE, BORDER = (224, 240), 64  # near the border layers depend on what comes int
     ("method", "iterations", "shift"),
     [
         *(("fourier-admm", 10, shift) for shift in (1, 6, 15)),
-        *(("fast", steps, shift) for shift in (1, 6, 15) for steps in (1, 4)),
+        *(("fast", steps, shift) for shift in (1, 3, 6, 15) for steps in (1, 4)),
         ("unet", None, 6),
     ],
 )

@@ -120,6 +120,8 @@ class LearnedSweeps:
             return start
         if isinstance(start, Tensor):
             return SweptState(start.contiguous())
+        if isinstance(start, LearnedState):
+            return self.direct.init(problem, start)
         return self._begin(problem, None)
 
     def _begin(self, problem: Problem, floor: Floor | None) -> HalfState | Balanced | Unbegun:
@@ -195,20 +197,12 @@ class LearnedSweeps:
         """Return the state after so many sweeps more."""
         words = None if is_plain() else problem.constants.words
         if not isinstance(state, SweptState):
-            begun = None
-            if words is not None:
-                is_gray = isinstance(state, Balanced)
-                begun = self._from_gray(problem, words, state) if is_gray else state.words
+            begun = None if words is None else self._begun_in_words(problem, words, state)
             if words is not None and begun is not None:
                 known = SweptState(floor=state.floor)
                 known = self._in_words(problem, words, begun, known, min(count, _enough(words)))
                 return self._swept(problem, known, count - known.count)
-            found = (
-                _gray_plainly(problem, state, self._pushes(0, self.gray))
-                if isinstance(state, Balanced)
-                else state.layers
-            )
-            state = SweptState(found, floor=state.floor)
+            state = SweptState(self._begun_plainly(problem, state), floor=state.floor)
         left = min(count, max(0, _enough(problem.constants.words) - state.count))
         if left > 0 and words is not None:
             begun = state.words or state.picture(problem)
@@ -221,8 +215,15 @@ class LearnedSweeps:
         after = sweeps.step(problem, sweeps.init(problem, state.after or state.picture(problem)))
         return SweptState(after.layers, state.count + count - left, after=after)
 
-    def _from_gray(self, problem: Problem, words: Words, state: Balanced) -> Enlargement:
-        """Return what layers begin as behind sweeps over their mean."""
+    def _begun_in_words(
+        self, problem: Problem, words: Words, state: Enlarged | Balanced
+    ) -> Enlargement | None:
+        """Return what compiled loops make layers of that sweeps begin at, behind those over gray.
+
+        P = e Q / e of gray
+        """
+        if isinstance(state, Enlarged):
+            return state.words
         assert state.floor.dtype == torch.uint16
         seen, floor = gray_words(problem.back_projected_words), gray_words(state.floor)
         rest = problem.rest_of_words
@@ -230,6 +231,16 @@ class LearnedSweeps:
         pushes = self._pushes(0, min(self.gray, _enough(words)))
         _, found = swept(words, seen, begun, pushes, 0, floor)
         return coloured(HalfWords(words, found.now, seen), rest)
+
+    def _begun_plainly(self, problem: Problem, state: Enlarged | Balanced) -> Tensor:
+        """Return the same as layers."""
+        if isinstance(state, Enlarged):
+            return state.layers
+        gray = replace(problem, views=KeptViews(problem.views.all().mean(dim=-3, keepdim=True)))
+        start, floor = gray.even_start(), state.floor.mean(dim=-3, keepdim=True)
+        begun = SweptState(start, floor=floor)
+        found = _swept_plainly(gray, begun, self._pushes(0, self.gray)).picture(gray)
+        return problem.even_start() * (found + _DARK) / (start + _DARK)
 
     def _in_words(
         self,
@@ -290,11 +301,3 @@ def _swept_plainly(problem: Problem, state: SweptState, pushes: Sequence[float])
             ahead[..., k, :, :, :] = clamped(best_layer(problem, ahead, k), own)
         layers, ago = ahead, layers
     return SweptState(layers, state.count + len(pushes), ago=ago, floor=floor)
-
-
-def _gray_plainly(problem: Problem, state: Balanced, pushes: Sequence[float]) -> Tensor:
-    """Return what layers begin as behind sweeps over their mean, as words do."""
-    gray = replace(problem, views=KeptViews(problem.views.all().mean(dim=-3, keepdim=True)))
-    start, floor = gray.even_start(), state.floor.mean(dim=-3, keepdim=True)
-    found = _swept_plainly(gray, SweptState(start, floor=floor), pushes).picture(gray)
-    return problem.even_start() * (found + _DARK) / (start + _DARK)

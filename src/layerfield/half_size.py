@@ -131,10 +131,11 @@ def floor_of(problem: Problem, half: Half, small: Problem, floor: Floor | None) 
 
         floor = max(e_half - min(e - floor of whole size), 0),  of 4x4 pixels of whole size
 
-    So none of P = e + up(Q - e of half size) is below its own floor: up mixes four of half size,
-    and each looks at all pixels it is part of. How dark the darkest are says in which layers light
-    may lie. Large pixels show means alone, and where their edges lie decides how dark they are:
-    without a floor layers of a scene moved by one pixel are less alike by 5 dB.
+    So what changes, up(Q - e of half size), could be added to e and leave none below its own floor:
+    up mixes four of half size, and each looks at all pixels it is part of. How dark the darkest are
+    says in which layers light may lie. Large pixels show means alone, and where their edges lie
+    decides how dark they are: without a floor layers of a scene moved by one pixel are less alike
+    by 5 dB.
 
     Args:
         problem: at its whole size.

@@ -76,11 +76,6 @@ class DisplayConstants:
             return shares.masked_fill_(coverage <= 0, 0)
 
     @cached_property
-    def is_all_seen(self) -> bool:
-        """Whether every pixel of a layer is seen by a view."""
-        return bool((self.even_shares > 0).all())
-
-    @cached_property
     def mean_share(self) -> float:
         """What the light of all pixels of one layer, A^T W L, is multiplied by for their mean."""
         return 1 / (len(self.coverage) * self.coverage[0].sum().item())

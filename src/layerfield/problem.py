@@ -168,12 +168,10 @@ class Problem:
 
     @cached_property
     def rest_of_words(self) -> Float[np.ndarray, "item c"]:
-        """What `even_shares` has for pixels that nobody sees, by those words; 0 for none."""
-        words, shape = self.constants.words, self.layer_shape
+        """What `even_shares` has for pixels that nobody sees, by those words."""
+        words = self.constants.words
         assert words is not None
-        if self.constants.is_all_seen:
-            return np.zeros((math.prod(shape[:-5]), shape[-3]))
-        light = light_of_words(self.back_projected_words, shape[-1])
+        light = light_of_words(self.back_projected_words, self.layer_shape[-1])
         return light * (words.weight / words.most * self.constants.mean_share)
 
     @property

@@ -13,11 +13,10 @@ from numba.extending import intrinsic
 
 from layerfield.kernels.floors import FAR, PARTS
 from layerfield.kernels.side_by_side import WHOLE, Lanes, side_by_side
+from layerfield.kernels.unsigned import INT, WORD, high_product, less, lesser
 from layerfield.kernels.words import WORDS
 
-_WORD, _INT = ir.IntType(16), ir.IntType(32)
 _SHAPE = 1, WORDS
-_BITS = 16
 
 
 @intrinsic
@@ -34,12 +33,12 @@ def lessen(_: Any, made: Any, rows: Any, count: Any) -> Any:
         made, rows, count = values
         rows = cgutils.unpack_tuple(builder, rows)
         for lanes, (place,) in side_by_side(builder, count, _SHAPE):
-            light, share, least = (lanes.read(row, place, _WORD) for row in rows)
-            own = lanes.read(made, place, _WORD)
-            fall = _less(builder, lanes, _shared(builder, lanes, light, share), least)
-            is_seen = builder.icmp_unsigned("!=", share, lanes.constant(_WORD, 0))
+            light, share, least = (lanes.read(row, place, WORD) for row in rows)
+            own = lanes.read(made, place, WORD)
+            fall = less(builder, lanes, high_product(builder, lanes, light, share), least)
+            is_seen = builder.icmp_unsigned("!=", share, lanes.constant(WORD, 0))
             fall = builder.select(is_seen, fall, own)
-            lanes.write(_lesser(builder, fall, own), made, place)
+            lanes.write(lesser(builder, fall, own), made, place)
         return WHOLE(0)
 
     return kinds.intp(made, rows, count), generate
@@ -62,46 +61,27 @@ def write_floor(_: Any, made: Any, rows: Any, falls: Any, unit: Any, count: Any)
     def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
         made, rows, falls, unit, count = values
         rows, falls = (cgutils.unpack_tuple(builder, each) for each in (rows, falls))
-        factor = builder.trunc(unit, _INT)
+        factor = builder.trunc(unit, INT)
         wide = Lanes(builder, 2 * WORDS)
         for lanes, (place,) in side_by_side(builder, count, _SHAPE):
-            light, share = (lanes.read(row, place, _WORD) for row in rows)
+            light, share = (lanes.read(row, place, WORD) for row in rows)
             first = builder.add(place, place)
-            least = lanes.constant(_WORD, FAR)
+            least = lanes.constant(WORD, FAR)
             for row in falls:
                 for step in (0, 2):
-                    both = wide.read(row, builder.add(first, WHOLE(step)), _WORD)
+                    both = wide.read(row, builder.add(first, WHOLE(step)), WORD)
                     for begin in (0, 1):
-                        least = _lesser(builder, least, _every_other(builder, both, begin))
-            whole = builder.mul(builder.zext(least, lanes.of(_INT)), lanes.all(factor))
-            whole = builder.lshr(whole, lanes.constant(_INT, PARTS.bit_length() - 1))
-            fall = builder.trunc(
-                _lesser(builder, whole, lanes.constant(_INT, FAR)), lanes.of(_WORD)
-            )
-            own = _shared(builder, lanes, light, share)
-            lanes.write(_less(builder, lanes, own, fall), made, place)
+                        least = lesser(builder, least, _every_other(builder, both, begin))
+            whole = builder.mul(builder.zext(least, lanes.of(INT)), lanes.all(factor))
+            whole = builder.lshr(whole, lanes.constant(INT, PARTS.bit_length() - 1))
+            fall = builder.trunc(lesser(builder, whole, lanes.constant(INT, FAR)), lanes.of(WORD))
+            own = high_product(builder, lanes, light, share)
+            lanes.write(less(builder, lanes, own, fall), made, place)
         return WHOLE(0)
 
     return kinds.intp(made, rows, falls, unit, count), generate
 
 
 def _every_other(builder: Any, both: Any, begin: int) -> Any:
-    places = ir.Constant(ir.VectorType(_INT, WORDS), [2 * n + begin for n in range(WORDS)])
+    places = ir.Constant(ir.VectorType(INT, WORDS), [2 * n + begin for n in range(WORDS)])
     return builder.shuffle_vector(both, both, places)
-
-
-def _shared(builder: Any, lanes: Lanes, light: Any, share: Any) -> Any:
-    """Return the product of words over 2^16, rounded down."""
-    wide = (builder.zext(each, lanes.of(_INT)) for each in (light, share))
-    whole = builder.lshr(builder.mul(*wide), lanes.constant(_INT, _BITS))
-    return builder.trunc(whole, lanes.of(_WORD))
-
-
-def _lesser(builder: Any, one: Any, other: Any) -> Any:
-    return builder.select(builder.icmp_unsigned("<", one, other), one, other)
-
-
-def _less(builder: Any, lanes: Lanes, one: Any, other: Any) -> Any:
-    """Return one word less another, both without a sign, 0 at the least."""
-    more = builder.icmp_unsigned(">", one, other)
-    return builder.select(more, builder.sub(one, other), lanes.constant(_WORD, 0))

@@ -13,11 +13,10 @@ from numba.core import types as kinds
 from numba.extending import intrinsic
 
 from layerfield.kernels.side_by_side import WHOLE, Lanes, side_by_side
+from layerfield.kernels.unsigned import BITS, INT, WORD, high_product
 from layerfield.kernels.words import WORDS
 
-_WORD, _INT = ir.IntType(16), ir.IntType(32)
 _SHAPE = 1, WORDS
-_BITS = 16
 
 
 @intrinsic
@@ -34,7 +33,7 @@ def blend(_: Any, made: Any, near: Any, far: Any, count: Any) -> Any:
     def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
         made, near, far, count = values
         for lanes, (place,) in side_by_side(builder, count, _SHAPE):
-            one, other = (lanes.read(row, place, _WORD) for row in (near, far))
+            one, other = (lanes.read(row, place, WORD) for row in (near, far))
             lanes.write(_blended(builder, lanes, one, other), made, place)
         return WHOLE(0)
 
@@ -55,10 +54,10 @@ def spread(_: Any, made: Any, row: Any, count: Any) -> Any:
         made, row, count = values
         for lanes, (place,) in side_by_side(builder, count, _SHAPE):
             before, after = (builder.add(place, WHOLE(step)) for step in (-1, 1))
-            left, here, right = (lanes.read(row, each, _WORD) for each in (before, place, after))
+            left, here, right = (lanes.read(row, each, WORD) for each in (before, place, after))
             both = (_blended(builder, lanes, here, each) for each in (left, right))
             by_turns = [n // 2 + WORDS * (n % 2) for n in range(2 * WORDS)]
-            mask = ir.Constant(ir.VectorType(_INT, 2 * WORDS), by_turns)
+            mask = ir.Constant(ir.VectorType(INT, 2 * WORDS), by_turns)
             wide = builder.shuffle_vector(*both, mask)
             Lanes(builder, 2 * WORDS).write(wide, made, builder.add(place, place))
         return WHOLE(0)
@@ -83,17 +82,17 @@ def start(_: Any, rows: Any, rest: Any, bits: Any, most: Any, count: Any) -> Any
     def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
         rows, *numbers, count = values
         *made, seen, shares, ratios = cgutils.unpack_tuple(builder, rows)
-        rest, bits, limit = (builder.trunc(each, _WORD) for each in numbers)
-        finer = builder.sub(_WORD(_BITS), bits)  # bits that e is told in, behind its point
+        rest, bits, limit = (builder.trunc(each, WORD) for each in numbers)
+        finer = builder.sub(WORD(BITS), bits)  # bits that e is told in, behind its point
         for lanes, (place,) in side_by_side(builder, count, _SHAPE):
-            light, share, ratio = (lanes.read(row, place, _WORD) for row in (seen, shares, ratios))
-            high = builder.shl(_high_product(builder, lanes, light, share), lanes.all(finer))
+            light, share, ratio = (lanes.read(row, place, WORD) for row in (seen, shares, ratios))
+            high = builder.shl(high_product(builder, lanes, light, share), lanes.all(finer))
             low = builder.lshr(builder.mul(light, share), lanes.all(bits))
-            is_seen = builder.icmp_unsigned("!=", share, lanes.constant(_WORD, 0))
+            is_seen = builder.icmp_unsigned("!=", share, lanes.constant(WORD, 0))
             dark = lanes.all(builder.shl(rest, finer))
             begun = builder.select(is_seen, builder.or_(high, low), dark)
-            beyond = builder.lshr(builder.mul(begun, ratio), lanes.constant(_WORD, _BITS - 1))
-            found = builder.add(_high_product(builder, lanes, begun, ratio), beyond)
+            beyond = builder.lshr(builder.mul(begun, ratio), lanes.constant(WORD, BITS - 1))
+            found = builder.add(high_product(builder, lanes, begun, ratio), beyond)
             largest = lanes.all(limit)
             found = builder.select(builder.icmp_unsigned("<", found, largest), found, largest)
             for row in made:
@@ -103,14 +102,7 @@ def start(_: Any, rows: Any, rest: Any, bits: Any, most: Any, count: Any) -> Any
     return kinds.intp(rows, rest, bits, most, count), generate
 
 
-def _high_product(builder: Any, lanes: Lanes, one: Any, other: Any) -> Any:
-    """Return the product of words over 2^16, rounded down."""
-    wide = (builder.zext(each, lanes.of(_INT)) for each in (one, other))
-    whole = builder.lshr(builder.mul(*wide), lanes.constant(_INT, _BITS))
-    return builder.trunc(whole, lanes.of(_WORD))
-
-
 def _blended(builder: Any, lanes: Lanes, near: Any, far: Any) -> Any:
-    three, two = lanes.constant(_WORD, 3), lanes.constant(_WORD, 2)
+    three, two = lanes.constant(WORD, 3), lanes.constant(WORD, 2)
     total = builder.add(builder.mul(near, three), builder.add(far, two))
     return builder.lshr(total, two)

@@ -17,8 +17,9 @@ from torch import Tensor
 from layerfield.kernels.compiled import compiled, native
 from layerfield.kernels.words import WORDS, Words
 
+_LARGEST_WORD = 2**16 - 1
 _LARGEST = 2**14 - 1  # of numbers, sums of four of which are words
-_FINE, _COARSE = 11, 12  # bits of a ratio behind its point: up to 8 fits, or 4
+_FINE = 11  # bits of a ratio behind its point, at the least: up to 8 fits
 
 
 class Enlargement(NamedTuple):
@@ -125,9 +126,9 @@ def largest_ratio(words: Words) -> float:
 
 
 def _bits_of(words: Words) -> int:
-    """Return as many as leave all of 16 that tell e as finely as it goes."""
-    most = words.most / len(words.order)  # of e
-    return _FINE if most < 1 << _FINE else _COARSE
+    """Return as many as leave the others of 16 for e, no more than a layer's share of 1."""
+    left = int(math.log2(_LARGEST_WORD * len(words.order) / words.most))
+    return max(_FINE, 16 - left)
 
 
 def _of(words: Words, light: Float[np.ndarray, "item c"]) -> np.ndarray:

@@ -15,13 +15,13 @@ from numba.extending import intrinsic
 
 from layerfield.kernels.lanes import FREE
 from layerfield.kernels.side_by_side import WHOLE, Lanes, side_by_side, summed
+from layerfield.kernels.unsigned import BITS, INT, WORD, high_product, less, within
 from layerfield.kernels.words import WORDS
 
-_WORD, _INT, _FLOAT = ir.IntType(16), ir.IntType(32), ir.FloatType()
+_FLOAT = ir.FloatType()
 _ALONE = (1, WORDS)  # vectors, and words of each
 _ADDED = (4, WORDS), _ALONE
 _ONE_BY_ONE = _ALONE, (1, 1)  # floats are as many as there are pixels
-_BITS = 16
 
 
 @intrinsic
@@ -72,9 +72,9 @@ def add_up_both(_: Any, both: Any, first: Any, apart: Any, shared: Any, count: A
                 n: Any, lanes: Lanes = lanes, places: Sequence[Any] = places
             ) -> Sequence[Any]:
                 there = row(n)
-                return [lanes.read(there, place, _WORD) for place in places]
+                return [lanes.read(there, place, WORD) for place in places]
 
-            none = [lanes.constant(_WORD, 0) for _ in places]
+            none = [lanes.constant(WORD, 0) for _ in places]
             sums = summed(builder, none, shared, words)
             for n, made in enumerate(cgutils.unpack_tuple(builder, both)):
                 own = words(builder.add(shared, WHOLE(n)))
@@ -100,12 +100,12 @@ def _sums(
     def words(n: Any) -> list[Any]:
         rows = [builder.load(builder.gep(each, [n])) for each in tables]
         read = [
-            [lanes.read(row, place, _WORD) for place in own]
+            [lanes.read(row, place, WORD) for place in own]
             for row, own in zip(rows, places, strict=True)
         ]
         return [reduce(builder.and_, each) for each in zip(*read, strict=True)]
 
-    return summed(builder, [lanes.constant(_WORD, 0) for _ in places[0]], number, words)
+    return summed(builder, [lanes.constant(WORD, 0) for _ in places[0]], number, words)
 
 
 @intrinsic
@@ -140,7 +140,7 @@ def settle_inside(
             builder, given, values
         )
         made, seen, left, floor, gains = rows
-        half, bits, limit = (builder.trunc(each, _WORD) for each in (*quotient, most))
+        half, bits, limit = (builder.trunc(each, WORD) for each in (*quotient, most))
         table = builder.inttoptr(across, WHOLE.as_pointer())
         begin, count = span
         shapes = _ADDED if len(noise) == 1 else (_ALONE,)
@@ -151,13 +151,13 @@ def settle_inside(
             here = [(place, each) for each in noise for place in places]
             every = zip(sums, beneath, lowest, here, strict=True)
             for shown, place, low, (above, threshold) in every:
-                rest = _less(builder, lanes, lanes.read(seen, place, _WORD), shown)
-                gain = lanes.read(gains, above, _WORD)  # a number would be no word before the loop
-                found = _high_product(builder, lanes, builder.add(rest, lanes.all(half)), gain)
+                rest = less(builder, lanes, lanes.read(seen, place, WORD), shown)
+                gain = lanes.read(gains, above, WORD)  # a number would be no word before the loop
+                found = high_product(builder, lanes, builder.add(rest, lanes.all(half)), gain)
                 found = builder.lshr(found, lanes.all(bits))
-                bounds = lanes.read(floor, low, _WORD), lanes.all(limit)
-                found = _within(builder, found, bounds)
-                own = lanes.read(threshold, above, _WORD) if ahead else None
+                bounds = lanes.read(floor, low, WORD), lanes.all(limit)
+                found = within(builder, found, bounds)
+                own = lanes.read(threshold, above, WORD) if ahead else None
                 _write(builder, lanes, place, (found, rest), (made, left), ahead, own, bounds)
         return WHOLE(0)
 
@@ -218,7 +218,7 @@ def settle(
     def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
         rows, ahead, noise, *tables, number, most, ends, apart = _apart(builder, given, values)
         made, seen, left, floor, *quotient = rows
-        limit = builder.trunc(most, _WORD)
+        limit = builder.trunc(most, WORD)
         tables = [builder.inttoptr(each, WHOLE.as_pointer()) for each in tables]
         for lanes, places in _at_ends(builder, *ends):
             below, beneath, lowest = (_below(builder, places, noise, each) for each in apart)
@@ -226,17 +226,17 @@ def settle(
             sums = _sums(builder, lanes, [below, [each for each, _ in here]], tables, number)
             every = zip(sums, beneath, lowest, here, strict=True)
             for shown, place, low, (above, threshold) in every:
-                light, own = (lanes.read(row, place, _WORD) for row in (seen, made))
-                half, gain, power = (lanes.read(row, above, _WORD) for row in quotient)
-                rest = _less(builder, lanes, light, shown)
-                found = _high_product(builder, lanes, builder.add(rest, half), gain)
-                is_seen = builder.icmp_unsigned("!=", gain, lanes.constant(_WORD, 0))
-                kept = builder.add(own, lanes.constant(_WORD, 1))  # as if multiplied once
+                light, own = (lanes.read(row, place, WORD) for row in (seen, made))
+                half, gain, power = (lanes.read(row, above, WORD) for row in quotient)
+                rest = less(builder, lanes, light, shown)
+                found = high_product(builder, lanes, builder.add(rest, half), gain)
+                is_seen = builder.icmp_unsigned("!=", gain, lanes.constant(WORD, 0))
+                kept = builder.add(own, lanes.constant(WORD, 1))  # as if multiplied once
                 found = builder.select(is_seen, found, kept)
-                found = _high_product(builder, lanes, found, power)
-                bounds = lanes.read(floor, low, _WORD), lanes.all(limit)
-                found = _within(builder, found, bounds)
-                own = lanes.read(threshold, above, _WORD) if ahead else None
+                found = high_product(builder, lanes, found, power)
+                bounds = lanes.read(floor, low, WORD), lanes.all(limit)
+                found = within(builder, found, bounds)
+                own = lanes.read(threshold, above, WORD) if ahead else None
                 _write(builder, lanes, place, (found, rest), (made, left), ahead, own, bounds)
         return WHOLE(0)
 
@@ -269,8 +269,8 @@ def _write(
     (now, rest), (made, left) = found, rows
     if ahead:
         ago, *both = ahead
-        factor, more = (builder.trunc(each, _WORD) for each in both)
-        last = lanes.read(ago, place, _WORD)
+        factor, more = (builder.trunc(each, WORD) for each in both)
+        last = lanes.read(ago, place, WORD)
         lanes.write(now, ago, place)
         pushed = _pushed(builder, lanes, now, last, threshold, factor, more, bounds)
         lanes.write(pushed, made, place)
@@ -297,10 +297,10 @@ def push(_: Any, rows: Any, share: Any, more: Any, most: Any, count: Any) -> Any
     def generate(_: Any, builder: Any, __: Any, values: Sequence[Any]) -> Any:
         rows, *numbers, count = values
         here, ago, floor, thresholds = cgutils.unpack_tuple(builder, rows)
-        factor, shift, limit = (builder.trunc(each, _WORD) for each in numbers)
+        factor, shift, limit = (builder.trunc(each, WORD) for each in numbers)
         for lanes, (place,) in side_by_side(builder, count, _ALONE):
             now, before, low, threshold = (
-                lanes.read(each, place, _WORD) for each in (here, ago, floor, thresholds)
+                lanes.read(each, place, WORD) for each in (here, ago, floor, thresholds)
             )
             lanes.write(now, ago, place)
             bounds = low, lanes.all(limit)
@@ -323,10 +323,10 @@ def _pushed(
 ) -> Any:
     """Return words that are pushed on, see `push`."""
     least, most = bounds
-    change = builder.shl(builder.sub(now, before), lanes.constant(_WORD, 1))
+    change = builder.shl(builder.sub(now, before), lanes.constant(WORD, 1))
     whole, beyond = _product(builder, lanes, change, lanes.all(factor))
     is_up = builder.icmp_unsigned(">", beyond, builder.add(threshold, lanes.all(shift)))
-    found = builder.add(now, builder.add(whole, builder.zext(is_up, lanes.of(_WORD))))
+    found = builder.add(now, builder.add(whole, builder.zext(is_up, lanes.of(WORD))))
     found = builder.select(builder.icmp_signed(">", found, least), found, least)
     return builder.select(builder.icmp_signed("<", found, most), found, most)
 
@@ -351,9 +351,9 @@ def to_words(_: Any, made: Any, source: Any, factor: Any, most: Any, count: Any)
             value = builder.fmul(lanes.read(source, place, _FLOAT), share, flags=FREE)
             value = builder.select(builder.fcmp_ordered("<", value, low), low, value)
             value = builder.select(builder.fcmp_ordered(">", value, high), high, value)
-            whole = builder.fptosi(builder.fadd(value, half, flags=FREE), lanes.of(_INT))
+            whole = builder.fptosi(builder.fadd(value, half, flags=FREE), lanes.of(INT))
             for row in cgutils.unpack_tuple(builder, rows):
-                lanes.write(builder.trunc(whole, lanes.of(_WORD)), row, place)
+                lanes.write(builder.trunc(whole, lanes.of(WORD)), row, place)
         return WHOLE(0)
 
     return kinds.intp(made, source, factor, most, count), generate
@@ -378,7 +378,7 @@ def to_light(_: Any, rows: Any, gain: Any, unit: Any, count: Any) -> Any:
             one, zero = lanes.constant(_FLOAT, 1.0), lanes.constant(_FLOAT, 0.0)
             shares = lanes.read(gains, place, _FLOAT)
             known = builder.fmul(shares, lanes.all(gain), flags=FREE)
-            whole = [builder.zext(lanes.read(row, place, _WORD), lanes.of(_INT)) for row in words]
+            whole = [builder.zext(lanes.read(row, place, WORD), lanes.of(INT)) for row in words]
             rest, own = (builder.sitofp(each, lanes.of(_FLOAT)) for each in whole)
             value = builder.fmul(rest, known, flags=FREE)
             value = builder.select(builder.fcmp_ordered(">", value, one), one, value)
@@ -390,28 +390,8 @@ def to_light(_: Any, rows: Any, gain: Any, unit: Any, count: Any) -> Any:
     return kinds.intp(rows, gain, unit, count), generate
 
 
-def _less(builder: Any, lanes: Lanes, one: Any, other: Any) -> Any:
-    """Return one word less another, both without a sign, 0 at the least."""
-    more = builder.icmp_unsigned(">", one, other)
-    return builder.select(more, builder.sub(one, other), lanes.constant(_WORD, 0))
-
-
-def _within(builder: Any, one: Any, bounds: tuple[Any, Any]) -> Any:
-    """Return words without a sign, between others."""
-    least, most = bounds
-    found = builder.select(builder.icmp_unsigned("<", one, most), one, most)
-    return builder.select(builder.icmp_unsigned(">", found, least), found, least)
-
-
-def _high_product(builder: Any, lanes: Lanes, one: Any, other: Any) -> Any:
-    """Return the product of words without a sign over 2^16, rounded down."""
-    wide = (builder.zext(each, lanes.of(_INT)) for each in (one, other))
-    whole = builder.lshr(builder.mul(*wide), lanes.constant(_INT, _BITS))
-    return builder.trunc(whole, lanes.of(_WORD))
-
-
 def _product(builder: Any, lanes: Lanes, one: Any, other: Any) -> tuple[Any, Any]:
     """Return the product of words with a sign over 2^16, rounded down, and what lies beyond."""
-    wide = (builder.sext(each, lanes.of(_INT)) for each in (one, other))
-    whole = builder.ashr(builder.mul(*wide), lanes.constant(_INT, _BITS))
-    return builder.trunc(whole, lanes.of(_WORD)), builder.mul(one, other)
+    wide = (builder.sext(each, lanes.of(INT)) for each in (one, other))
+    whole = builder.ashr(builder.mul(*wide), lanes.constant(INT, BITS))
+    return builder.trunc(whole, lanes.of(WORD)), builder.mul(one, other)
